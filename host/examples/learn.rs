@@ -6,10 +6,10 @@
 use std::path::Path;
 
 use data::files::write_atomically;
-use judge::evaluate::{Plan, evaluate};
 use learn::pipeline::{self, PipelineConfig};
 use plant::bench::BenchConfig;
 use progress::Progress;
+use score::evaluate::{Plan, evaluate};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use ventilator::{BenchSource, Source};

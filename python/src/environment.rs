@@ -159,7 +159,7 @@ impl Observer {
 fn scores<'py>(py: Python<'py>, episode: &environment::Episode) -> PyResult<Bound<'py, PyDict>> {
     // The complete breaths of an aborted episode say too little.
     let unknown = episode.fault.is_some() || episode.scores.is_empty();
-    let mean = judge::evaluate::Score::mean(&episode.scores);
+    let mean = score::evaluate::Score::mean(&episode.scores);
     let dict = PyDict::new(py);
     dict.set_item("number", episode.number)?;
     dict.set_item("plant", &episode.plant)?;

@@ -5,8 +5,8 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use judge::faults::cases::{FaultCase, HAZARDS, LIMIT, Required, cases};
 use shared::safety::alarms::{ALARMS, Priority};
+use trials::faults::cases::{FaultCase, HAZARDS, LIMIT, Required, cases};
 
 fn document() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../SAFETY.md"))

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use data::recording::Recording;
-use judge::verdict::{Judged, LimitResult, Limits, judge};
+use verdict::{Judged, LimitResult, Limits, judge};
 
 use crate::stream::{LimitCheck, Tolerance, Verdict};
 
@@ -33,7 +33,7 @@ pub fn verdict(recording: &Recording) -> Verdict {
     }
 }
 
-fn tolerance(band: judge::verdict::Band) -> Tolerance {
+fn tolerance(band: verdict::Band) -> Tolerance {
     Tolerance { fixed: band.fixed, percent: band.percent }
 }
 

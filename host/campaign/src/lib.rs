@@ -13,8 +13,6 @@ mod exact;
 pub mod record;
 pub mod shards;
 mod share;
-#[cfg(unix)]
-pub mod submit;
 #[cfg(test)]
 mod tests;
 
@@ -51,7 +49,8 @@ pub enum CampaignError {
 }
 
 impl CampaignError {
-    fn file(path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
+    /// Wraps an error of a file with its path.
+    pub fn file(path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
         let path = path.to_owned();
         move |source| Self::File { path, source }
     }

@@ -10,10 +10,10 @@ use super::bars::with_bars;
 use super::common::{benches, stopped};
 use super::output::OutputArgs;
 use super::settings_args::SettingsArgs;
-use judge::bound::{Bound, BoundConfig, bounds, triggering};
-use judge::breathing::STRENGTHS;
-use judge::evaluate::Plan;
 use plant::bench::BenchConfig;
+use score::bound::{Bound, BoundConfig, bounds, triggering};
+use score::breathing::STRENGTHS;
+use score::evaluate::Plan;
 use show::report::{Cell, Table};
 
 /// Compute a reference bound: commands optimised by search on a fully known lung
@@ -141,8 +141,8 @@ fn row(pips: &[f32], lung: &Bound) -> Vec<Cell> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use judge::bound::WaveformBound;
-    use judge::evaluate::Score;
+    use score::bound::WaveformBound;
+    use score::evaluate::Score;
 
     fn lung(complete: bool) -> Bound {
         let score = Score { score: 0.75, ..Score::default() };

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use shared::control::pid::PidGains;
 
-use judge::breathing::{Breathing, Kinds};
+use score::breathing::{Breathing, Kinds};
 use show::report::{Cell, Table};
 
 /// Columns of scores, with the number of decimals.
@@ -62,7 +62,7 @@ fn rows(table: &mut Table, lung: &str, effort: &Cell, controllers: &[String], sc
 #[cfg(test)]
 mod tests {
     use super::*;
-    use judge::breathing::Patients;
+    use score::breathing::Patients;
 
     #[test]
     fn a_row_shows_scores_and_ratios_and_a_dash_for_none() {

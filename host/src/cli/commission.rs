@@ -16,13 +16,13 @@ use super::settings_args::SettingsArgs;
 use super::source_args::SourceArgs;
 use super::train::{CONTROLLER, ResultArgs};
 use data::recording::Recording;
-use judge::evaluate::{Plan, evaluate_law};
 use learn::controller::CurvePoint;
 use learn::pipeline::Folder;
 use learn::pipeline::commission::{
     BREATHS_NEEDED, CommissionRun, Commissioned, Figures, OPEN_LOOP_LIMIT, RECORDING, Winner,
 };
 use plant::bench::BenchConfig;
+use score::evaluate::{Plan, evaluate_law};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// Train the family's controller further for one unit, from a minute of its own breaths

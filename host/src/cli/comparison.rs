@@ -1,6 +1,6 @@
 //! The table that compares a controller with a PID, waveform by waveform.
 
-use judge::evaluate::{Comparison, Pair, Score};
+use score::evaluate::{Comparison, Pair, Score};
 use show::report::{Cell, Table};
 
 /// A comparison as a table that marks the better score of each waveform; `beside` is the controller that is not the PID.
@@ -48,7 +48,7 @@ fn rows(table: &mut Table, name: &str, beside: &str, pair: &Pair) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use judge::evaluate::WaveformPair;
+    use score::evaluate::WaveformPair;
 
     fn text(pid: f64, learned: Option<f64>) -> String {
         let score = |score| Score { score, rise_ms: 90.0, ..Score::default() };

@@ -11,16 +11,17 @@ use shared::device::KNOWN_GOOD;
 use shared::weights::decode;
 
 use super::{common, plant_args};
-use judge::policy::PolicyLaw;
-use judge::policy::link::PolicyLink;
-use judge::rivals::machine::Machine;
-use judge::rivals::{AnyLaw, Rival};
+use laws::policy::PolicyLaw;
+use laws::policy::link::PolicyLink;
+use laws::rivals::Rival;
+use laws::rivals::machine::Machine;
 use learn::controller::authors::AuthorsController;
 use learn::controller::learned::{self, Learned};
 use learn::controller::{Trainable, shipped};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use ventilator::SharedLink;
+use ventilator::law::AnyLaw;
 
 /// The choice of a controller.
 #[derive(Debug, clap::Args)]
@@ -64,7 +65,7 @@ pub struct Chosen {
 impl Chosen {
     /// A PID.
     pub fn pid(gains: PidGains, period_us: u32) -> anyhow::Result<Self> {
-        let controller = AnyLaw::Chip(Controller::Pid(Pid::new(gains, period_us)?));
+        let controller = AnyLaw::new(Controller::Pid(Pid::new(gains, period_us)?));
         let name = format_gains(&gains);
         Ok(Self { controller, period_us, weights_id: None, image: None, id: name.clone(), name })
     }
@@ -99,20 +100,20 @@ impl Chosen {
 
     /// The residual, if the controller is a learned one.
     pub fn residual(&self) -> Option<&Residual> {
-        match &self.controller {
-            AnyLaw::Chip(Controller::Residual(residual)) => Some(residual),
-            _ => None,
+        match self.controller.chip()? {
+            Controller::Residual(residual) => Some(residual),
+            Controller::Pid(_) => None,
         }
     }
 
     /// What the controller is beside its PID, for output; none for a PID.
     pub fn beside_pid(&self) -> Option<&str> {
-        match &self.controller {
-            AnyLaw::Chip(Controller::Pid(_)) => None,
-            AnyLaw::Chip(Controller::Residual(_)) => Some("learned"),
-            AnyLaw::Authors(_) => Some("authors"),
-            AnyLaw::Policy(_) => Some("policy"),
-            _ => Some(&self.name),
+        match self.controller.chip() {
+            Some(Controller::Pid(_)) => None,
+            Some(Controller::Residual(_)) => Some("learned"),
+            None if self.controller.downcast::<AuthorsController>().is_some() => Some("authors"),
+            None if self.controller.downcast::<PolicyLaw>().is_some() => Some("policy"),
+            None => Some(&self.name),
         }
     }
 }
@@ -148,7 +149,7 @@ impl ControllerArgs {
         let period_us = plant_args::period_us(self.period_us.or(own), plant)?;
         let pid = Pid::new(self.gains.unwrap_or(KNOWN_GOOD), period_us)?;
         let id = format!("{name} over {}", format_gains(&pid.gains()));
-        let controller = AnyLaw::Policy(PolicyLaw::new(policy, pid, period_us));
+        let controller = AnyLaw::new(PolicyLaw::new(policy, pid, period_us));
         Ok(Chosen { controller, period_us, weights_id: None, image: None, name, id })
     }
 
@@ -200,7 +201,7 @@ fn authors(file: &Path) -> anyhow::Result<Option<Chosen>> {
     let controller = Learned::<AuthorsController>::read(file)?.controller;
     Ok(Some(Chosen {
         period_us: controller.spec().period_us,
-        controller: AnyLaw::Authors(controller),
+        controller: AnyLaw::new(controller),
         weights_id: None,
         image: None,
         name: file.display().to_string(),
@@ -219,7 +220,7 @@ fn of_image(file: &Path, bytes: Vec<u8>) -> anyhow::Result<Chosen> {
     let id = image_id(image.id);
     Ok(Chosen {
         period_us: image.residual.spec().period_us,
-        controller: AnyLaw::Chip(Controller::Residual(image.residual)),
+        controller: AnyLaw::new(Controller::Residual(image.residual)),
         weights_id: Some(id.clone()),
         id,
         image: Some(bytes),

@@ -11,9 +11,9 @@ use super::common::BenchArgs;
 use super::output::OutputArgs;
 #[cfg(unix)]
 use super::qemu::ImageArgs;
-use judge::baselines::Search;
 use learn::controller::TrainConfig;
 use learn::pipeline::PipelineConfig;
+use score::baselines::Search;
 use study::demo::{DemoConfig, Venue, run as run_demo};
 
 /// Run the whole pipeline on one lung and write a report: tune, record, fit, train, compare

@@ -15,11 +15,11 @@ use super::common::stopped;
 use super::controller_args::{image_id, image_of};
 use super::output::OutputArgs;
 use super::shard_args::ShardFolderArgs;
-use judge::endure::course;
-use judge::endure::patient::Patient;
-use judge::endure::tally::{AlarmRow, PatientResult, Summary};
-use judge::endure::{Endurance, Question, sound_controller};
 use show::report::{Cell, Table};
+use trials::endure::course;
+use trials::endure::patient::Patient;
+use trials::endure::tally::{AlarmRow, PatientResult, Summary};
+use trials::endure::{Endurance, Question, sound_controller};
 
 /// Ventilate random patients for hours, and check that ventilation goes on and that every alarm is deserved
 #[derive(Debug, clap::Args)]

@@ -18,12 +18,14 @@ use super::port_args;
 use super::settings_args::SettingsArgs;
 use super::source_args::SourceArgs;
 use data::provenance::Provenance;
-use judge::breathing::breathing;
-use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace_source_after};
-use judge::policy::account::Account;
-use judge::rivals::{AnyLaw, DeviceGround};
+use laws::policy::PolicyLaw;
+use laws::policy::account::Account;
+use laws::rivals::DeviceGround;
 use plant::bench::BenchConfig;
+use score::breathing::breathing;
+use score::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace_source_after};
 use show::report::{Block, Plot, Report, Section, Series, Style, Table};
+use ventilator::law::AnyLaw;
 use ventilator::{BenchSource, PlantSource, SharedLink};
 
 /// Compare controllers on any bench, device or plant, under the same sensor noise
@@ -321,7 +323,7 @@ fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Sectio
     let settings = setup.plan.waveform(pip);
     let run = |law: &AnyLaw| {
         let source = BenchSource::new(bench, law.clone(), &settings, *period_us, seeds[0])?;
-        let goes_on = matches!(setup.chosen.controller, AnyLaw::Policy(_));
+        let goes_on = setup.chosen.controller.downcast::<PolicyLaw>().is_some();
         let mut source = if goes_on { source.going_on() } else { source };
         trace_source_after(*warm_up, &mut source, &settings, 1)
     };

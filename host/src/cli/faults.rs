@@ -9,12 +9,12 @@ use super::bars::with_bars;
 use super::common::benches;
 use super::output::OutputArgs;
 use data::provenance::Provenance;
-use judge::faults::cases::{LIMIT, LIMITS};
-use judge::faults::matrix::{FaultRow, false_alarms, matrix};
-use judge::faults::parts::{Part, without_each_part};
 use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
 use show::report::{Block, Cell, Report, Section, Table};
+use trials::faults::cases::{LIMIT, LIMITS};
+use trials::faults::matrix::{FaultRow, false_alarms, matrix};
+use trials::faults::parts::{Part, without_each_part};
 
 /// Inject faults into sensors, valves, circuit and controller on the virtual bench, and check the alarms
 #[derive(Debug, clap::Args)]

@@ -14,11 +14,11 @@ use super::common::Preset;
 use super::output::OutputArgs;
 use data::identity::LungParameters;
 use data::recording::Recording;
-use judge::simulator::{FitSummary, RESPONSE_S};
 use learn::recipe::{self, Recipe};
 use learn::simulator::episode::episodes;
 use learn::simulator::open_loop::OpenLoop;
 use show::report::{Cell, Table};
+use verdict::fit_summary::{FitSummary, RESPONSE_S};
 
 /// Learn a differentiable simulator from recordings
 #[derive(Debug, clap::Args)]

@@ -13,7 +13,7 @@ use super::bars::with_bars;
 use super::output::OutputArgs;
 use data::import::map::ColumnMap;
 use data::recording::Recording;
-use judge::verdict::{Band, Judged, Kind, Limits, Verdict, judge};
+use verdict::{Band, Judged, Kind, Limits, Verdict, judge};
 
 /// Judge recordings from any ventilator, breath by breath: rise, overshoot, oscillation, accuracy
 #[derive(Debug, clap::Args)]

@@ -11,16 +11,16 @@ use super::bars::with_bars;
 use super::common::{benches, stopped};
 use super::controller_args::{Chosen, ControllerArgs};
 use super::output::{self, OutputArgs};
-use judge::accuracy::{self, Accuracy, PhaseEnd, Setup};
-use judge::margins::iteration::{Certificate, Certified, LearningFilter, Spread};
-use judge::margins::residual_gain::ResidualGain;
-use judge::margins::response::Sweep;
-use judge::margins::stability::{Margins, Required};
-use judge::margins::{MeasuredPoint, PlantMargins, Question, measure};
+use margins::iteration::{Certificate, Certified, LearningFilter, Spread};
+use margins::residual_gain::ResidualGain;
+use margins::response::Sweep;
+use margins::stability::{Margins, Required};
+use margins::{MeasuredPoint, PlantMargins, Question, measure};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use progress::{Progress, Stage};
 use show::report::{Cell, Plot, Series, Style, Table};
+use trials::accuracy::{self, Accuracy, PhaseEnd, Setup};
 
 /// Curves that a figure shows at most: those of the plants with the worst margins.
 const CURVES: usize = 6;
@@ -182,7 +182,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 /// The learning rule to certify: the given one, or the controller's own.
 fn learning_of(args: &Args, chosen: &Chosen) -> Option<LearningFilter> {
-    args.learning.or(chosen.controller.learning())
+    args.learning.or_else(|| laws::rivals::learning(&chosen.controller))
 }
 
 /// The chosen plants.

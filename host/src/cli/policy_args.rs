@@ -3,11 +3,12 @@
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use judge::policy::account::{Account, Event};
-use judge::policy::link::PolicyLink;
-use judge::rivals::AnyLaw;
+use laws::policy::PolicyLaw;
+use laws::policy::account::{Account, Event};
+use laws::policy::link::PolicyLink;
 use plant::line::Address;
 use plant::link::PATIENCE;
+use ventilator::law::AnyLaw;
 
 use super::output::OutputArgs;
 use super::plant_args::seconds;
@@ -36,10 +37,7 @@ impl PolicyArgs {
 
 /// The account of the policy, if the controller is one.
 pub fn account(controller: &AnyLaw) -> Option<Account> {
-    match controller {
-        AnyLaw::Policy(law) => Some(law.account()),
-        _ => None,
-    }
+    controller.downcast().map(PolicyLaw::account)
 }
 
 /// Prints the shares of the policy's commands, its answer times and its failure.

@@ -7,9 +7,9 @@ use clap::ValueEnum;
 use super::bars::with_bars;
 use super::output::OutputArgs;
 use super::shard_args::ShardArgs;
+use paper::shards::Shards;
+use paper::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
 use plant::bench::BenchConfig;
-use study::reproduce::shards::Shards;
-use study::reproduce::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
 
 /// Run the paper's experiments on nine lungs of the virtual bench and write a report
 #[derive(Debug, clap::Args)]

@@ -12,12 +12,11 @@ use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::{self, OutputArgs};
 use super::policy_args::{self, PolicyArgs, at};
 use super::shard_args::ShardFolderArgs;
-use judge::policy::in_turns;
-use judge::rivals::AnyLaw;
-use judge::robust::rivals::family_pid;
-use judge::robust::{Question, Robustness, Summary, Tally};
+use laws::policy::in_turns;
 use plant::bench::family::Family;
 use show::report::{Cell, Plot, Series, Style, Table};
+use trials::robust::rivals::family_pid;
+use trials::robust::{Question, Robustness, Summary, Tally};
 
 /// Ratios to the family's PID that the figure shows.
 const RATIOS: (f64, f64) = (0.3, 1.5);
@@ -96,9 +95,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             chosen.period_us
         );
     }
-    let test = match chosen.controller {
-        AnyLaw::Policy(_) => in_turns(|| test(args, &family, &chosen))??,
-        _ => test(args, &family, &chosen)?,
+    let test = match args.policy.policy {
+        Some(_) => in_turns(|| test(args, &family, &chosen))??,
+        None => test(args, &family, &chosen)?,
     };
     let policy = policy_args::account(&chosen.controller);
     policy_args::print(&args.output, policy.as_ref());

@@ -7,11 +7,11 @@ use campaign::record::{Ending, Record, State};
 use serde::Serialize;
 
 use super::output::{OutputArgs, write};
-use show::report::{Block, Cell, Plot, Report, Section, Table};
-use study::runs::{
+use experiments::runs::{
     Comparison, OptionDifference, Run, RunsError, check_figure, figure_names, find, listed, mlflow, named,
     plots, sort, tensorboard,
 };
+use show::report::{Block, Cell, Plot, Report, Section, Table};
 
 /// List, compare, plot and export runs, from the records that commands leave in their folders
 #[derive(Debug, clap::Args)]

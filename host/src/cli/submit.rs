@@ -7,9 +7,9 @@ use clap::Parser;
 
 use super::bars::with_bars;
 use super::{Cli, Command};
-use campaign::submit::parallel::Parallel;
-use campaign::submit::slurm::{Slurm, Submitted};
-use campaign::submit::{Job, SubmitError};
+use experiments::submit::parallel::Parallel;
+use experiments::submit::slurm::{Slurm, Submitted};
+use experiments::submit::{Job, SubmitError};
 
 /// Run a command in shards, on Slurm or with GNU parallel, and merge them
 #[derive(Debug, clap::Args)]

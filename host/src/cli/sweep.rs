@@ -10,8 +10,8 @@ use super::bars::with_bars;
 use super::common::stopped;
 use super::output::OutputArgs;
 use super::shard_args::ShardArgs;
+use experiments::sweep::{RunResult, RunResults, Sweep, SweepWork, in_words};
 use show::report::{Cell, Table};
-use study::sweep::{RunResult, RunResults, Sweep, SweepWork, in_words};
 
 /// Run a command with every combination of some options, such as seeds or hyper-parameters
 #[derive(Debug, clap::Args)]

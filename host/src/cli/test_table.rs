@@ -10,11 +10,11 @@ use shared::control::Controller;
 use super::bars::with_bars;
 use super::controller_args::learned;
 use super::output::OutputArgs;
-use judge::evaluate::plateau_tolerance;
-use judge::test_table::{MOST_OVERSHOOT, Outcome, outcome};
 use plant::bench::{BenchConfig, is_neonatal};
 use progress::Stage;
+use score::evaluate::plateau_tolerance;
 use show::report::{Cell, Table};
+use trials::test_table::{MOST_OVERSHOOT, Outcome, outcome};
 
 /// Run the 21 pressure-control rows of ISO 80601-2-12, each on the machine that fits its lung
 #[derive(Debug, clap::Args)]

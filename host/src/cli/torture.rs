@@ -7,8 +7,8 @@ use anyhow::bail;
 use super::common::stopped;
 use super::output::OutputArgs;
 use super::shard_args::ShardFolderArgs;
-use judge::faults::cases::LIMIT;
-use judge::faults::torture::{BREATHS_PER_RUN, Peaks, Summary, Torture};
+use trials::faults::cases::LIMIT;
+use trials::faults::torture::{BREATHS_PER_RUN, Peaks, Summary, Torture};
 
 /// Run random breaths with hostile weights, random lungs and random faults, and check the highest true pressure
 #[derive(Debug, clap::Args)]

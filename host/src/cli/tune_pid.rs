@@ -16,11 +16,11 @@ use super::plant_args::{self, PlantArgs};
 use super::settings_args::SettingsArgs;
 use super::shard_args::{ShardArgs, ShardFolderArgs};
 use data::provenance::Provenance;
-use judge::baselines::{
+use plant::bench::BenchConfig;
+use score::baselines::{
     Best, Candidate, FAULT_SCORE, Grid, LungResult, PidKind, PidSearch, Search, TuneResult, tune_pid,
 };
-use judge::evaluate::{Ground, Plan, SourceGround};
-use plant::bench::BenchConfig;
+use score::evaluate::{Ground, Plan, SourceGround};
 use show::report::{Block, Cell, HeatMap, Report, Section, Table};
 use ventilator::PlantSource;
 
@@ -269,7 +269,7 @@ mod tests {
             lungs: vec![LungResult {
                 lung: "R20C20".into(),
                 best: best([FAULT_SCORE, 2.0, 1.5, 1.25]),
-                map: judge::baselines::ScoreMap { p: vec![], i: vec![], score: vec![] },
+                map: score::baselines::ScoreMap { p: vec![], i: vec![], score: vec![] },
                 complete: true,
             }],
             over_all: best([1.0; 4]),

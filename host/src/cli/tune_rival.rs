@@ -8,8 +8,8 @@ use super::bars::with_bars;
 use super::common::benches;
 use super::controller_args::rival_names;
 use super::output::OutputArgs;
-use judge::rivals::Rival;
-use judge::rivals::tuning::{Tuned, TuningPlan, tune};
+use laws::rivals::Rival;
+use laws::rivals::tuning::{Tuned, TuningPlan, tune};
 use plant::bench::family::Family;
 use show::report::{Cell, Table};
 

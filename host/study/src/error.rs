@@ -1,4 +1,4 @@
-//! Errors of a demo or a reproduction.
+//! Errors of a demo.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -7,21 +7,16 @@ use shared::control::pid::GainError;
 use shared::control::residual::ResidualError;
 use thiserror::Error;
 
-use campaign::CampaignError;
 use data::recording::DatasetError;
 use data::tensors::TensorError;
-use judge::baselines::TuneError;
-use judge::bound::BoundError;
-use judge::rivals::parameter::RivalError;
-use judge::robust::RobustError;
 use learn::controller::learned::LearnedError;
 use learn::pipeline::PipelineError;
 use plant::bench::BenchError;
-use plant::bench::family::FamilyError;
+use score::baselines::TuneError;
 use show::report::ReportError;
 use ventilator::SourceError;
 
-/// An error of a demo or a reproduction.
+/// An error of a demo.
 #[derive(Debug, Error)]
 pub enum StudyError {
     /// The search for the best PID failed.
@@ -36,21 +31,6 @@ pub enum StudyError {
     /// A bench description is not valid.
     #[error(transparent)]
     Bench(#[from] BenchError),
-    /// The reference bound.
-    #[error(transparent)]
-    Bound(#[from] BoundError),
-    /// A family of plants is not valid.
-    #[error(transparent)]
-    Family(#[from] FamilyError),
-    /// The best PID of a family is not known.
-    #[error(transparent)]
-    Robust(#[from] RobustError),
-    /// Parameters of a rival are not valid.
-    #[error(transparent)]
-    Rival(#[from] RivalError),
-    /// The program has no controller with this name.
-    #[error("no controller {0} comes with this program")]
-    NotShipped(&'static str),
     /// PID gains are not valid.
     #[error(transparent)]
     Gain(#[from] GainError),
@@ -69,14 +49,6 @@ pub enum StudyError {
     /// A report could not be written.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// The folder belongs to another run.
-    #[error(
-        "{0} contains a run with another seed, budget or choice of lungs: choose another folder or remove it"
-    )]
-    OtherRun(String),
-    /// The work cannot be divided, kept or merged.
-    #[error(transparent)]
-    Campaign(#[from] CampaignError),
     /// Any other file could not be used.
     #[error("cannot use {path}: {source}")]
     #[expect(missing_docs, reason = "the message names every field")]

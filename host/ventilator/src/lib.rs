@@ -7,6 +7,7 @@
 
 pub mod collect;
 mod in_process;
+pub mod law;
 mod port;
 pub mod seeds;
 #[cfg(all(test, unix))]

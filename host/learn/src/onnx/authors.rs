@@ -9,6 +9,7 @@ use crate::controller::architecture::Trainable;
 use crate::controller::authors::AuthorsController;
 use crate::controller::authors::averages::ERRORS;
 use crate::controller::authors::convolution::{KERNEL, POSITIONS, layout};
+use ventilator::law::Law;
 
 /// The file of a controller of the authors' architecture.
 pub fn authors(controller: &AuthorsController) -> Vec<u8> {

@@ -7,10 +7,10 @@ use shared::settings::Settings;
 
 use crate::cli::common::stop;
 use crate::cli::output::OutputArgs;
-use judge::endure::course::{Event, Observer, Scene};
-use judge::endure::deserved::Verdict;
-use judge::endure::patient::Patient;
-use judge::endure::truth::BreathTruth;
+use trials::endure::course::{Event, Observer, Scene};
+use trials::endure::deserved::Verdict;
+use trials::endure::patient::Patient;
+use trials::endure::truth::BreathTruth;
 
 /// Prints who the patient is.
 pub fn describe(patient: &Patient, output: &OutputArgs) {

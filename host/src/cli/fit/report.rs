@@ -4,11 +4,11 @@ use super::{remarks, table};
 use data::identity::TestRun;
 use data::provenance::Provenance;
 use data::recording::Recording;
-use judge::simulator::FitSummary;
 use learn::recipe::{Fitted, Parts};
 use learn::simulator::episode::Episode;
 use learn::simulator::open_loop::predict;
 use show::report::{Block, Plot, Report, Section, Series, Style};
+use verdict::fit_summary::FitSummary;
 
 /// Number of held-out breaths shown.
 const SHOWN: usize = 8;

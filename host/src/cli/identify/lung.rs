@@ -8,9 +8,9 @@ use serde::Serialize;
 use super::super::output::{OutputArgs, write};
 use super::LungArgs;
 use data::recording::Recording;
-use judge::identify::cycle::Cycle;
-use judge::identify::{Estimate, Identified, LungCycles, bench, identify, lungs};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
+use verdict::identify::cycle::Cycle;
+use verdict::identify::{Estimate, Identified, LungCycles, bench, identify, lungs};
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]

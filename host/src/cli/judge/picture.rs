@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::super::output::write;
 use data::recording::Recording;
-use judge::verdict::{Judged, SoreSpot, Verdict};
 use show::report::{Plot, Series, Style};
+use verdict::{Judged, SoreSpot, Verdict};
 
 /// Sizes of the two plots of a picture, pixels; wide enough for the title.
 const ABOVE: (u32, u32) = (1000, 400);

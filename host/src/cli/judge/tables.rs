@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::super::output::OutputArgs;
-use judge::verdict::{Accuracy, Judged, LimitResult, LungReport, Mean, USUAL, Verdict};
 use show::report::{Cell, Table};
+use verdict::{Accuracy, Judged, LimitResult, LungReport, Mean, USUAL, Verdict};
 
 /// Prints a verdict with at most `worst` sore spots.
 pub fn print(output: &OutputArgs, file: &str, verdict: &Verdict, worst: usize) {

@@ -17,11 +17,11 @@ use shared::control::pid::{Pid, PidGains};
 
 use crate::error::{Result, StudyError};
 use data::files::{read_json, write_atomically, write_json, write_json_indented};
-use judge::baselines::{Best, Search, tune_pid};
-use judge::evaluate::{BreathTrace, Evaluation, Plan};
 use learn::pipeline::{self, Folder, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
 use progress::{Progress, Stage};
+use score::baselines::{Best, Search, tune_pid};
+use score::evaluate::{BreathTrace, Evaluation, Plan};
 
 pub use summary::{Compared, ContestantMeans, DemoSummary};
 pub use venue::Venue;

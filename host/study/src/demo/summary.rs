@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 use shared::control::pid::PidGains;
 
 use super::{Contestant, DemoConfig};
-use judge::baselines::Best;
-use judge::evaluate::Score;
 use learn::pipeline::{Outcome, Round};
+use score::baselines::Best;
+use score::evaluate::Score;
 use show::report::{Cell, Table};
 
 /// PID and learned controller on one waveform, on the true bench under the same noise.

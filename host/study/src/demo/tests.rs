@@ -5,9 +5,9 @@ use std::path::Path;
 
 use super::*;
 use data::recording::Recording;
-use judge::baselines::Grid;
 use learn::controller::learned::Learned;
 use learn::simulator::model::Simulator;
+use score::baselines::Grid;
 
 fn small(seed: u64) -> DemoConfig {
     let grid = Grid { p: vec![1.0, 4.0], i: vec![15.0, 80.0], d: vec![0.0] };

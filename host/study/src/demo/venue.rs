@@ -6,11 +6,11 @@ use shared::settings::Settings;
 use super::{TRACED_BREATHS, TRACED_PIPS};
 #[cfg(unix)]
 use emulator::EmulatorConfig;
-#[cfg(unix)]
-use judge::evaluate::evaluate_source;
-use judge::evaluate::{BreathTrace, Evaluation, Ground, Plan, trace_source};
 use plant::bench::BenchConfig;
 use progress::Progress;
+#[cfg(unix)]
+use score::evaluate::evaluate_source;
+use score::evaluate::{BreathTrace, Evaluation, Ground, Plan, trace_source};
 #[cfg(unix)]
 use ventilator::PortSource;
 use ventilator::{BenchSource, Source, SourceError};

@@ -12,10 +12,10 @@ use super::controllers::Controllers;
 use super::flash::id_of;
 use super::folder::{load, save};
 use super::{FarmError, FarmRun, Rivals, UnitName, Worker};
-use judge::evaluate::{Plan, evaluate_source};
 use learn::controller::learned::{Learned, Origin};
 use learn::pipeline::PipelineError;
 use progress::Progress;
+use score::evaluate::{Plan, evaluate_source};
 
 /// Scores of controllers on units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -11,10 +11,10 @@ use data::tensors::TensorError;
 use device::DeviceError;
 use device::simulated::ServeError;
 use device::upload::UploadError;
-use judge::baselines::TuneError;
-use judge::bound::BoundError;
 use learn::controller::learned::LearnedError;
 use learn::pipeline::PipelineError;
+use score::baselines::TuneError;
+use score::bound::BoundError;
 use ventilator::SourceError;
 use ventilator::collect::CollectError;
 

@@ -5,12 +5,12 @@ use shared::control::pid::PidGains;
 
 use super::folder::{FarmFolder, load, save};
 use super::{FarmError, FarmRun, Worker};
-use judge::baselines::Grid;
-use judge::baselines::{Search, tune_single_pid};
-use judge::bound::{BoundConfig, bounds};
-use judge::evaluate::Plan;
 use plant::bench::{BenchConfig, UnitConfig};
 use progress::Progress;
+use score::baselines::Grid;
+use score::baselines::{Search, tune_single_pid};
+use score::bound::{BoundConfig, bounds};
+use score::evaluate::Plan;
 
 /// The best single PID of a virtual farm, and the bounds of its units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

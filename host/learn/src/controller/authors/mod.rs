@@ -25,6 +25,7 @@ use super::features::Signals;
 use super::scenario::Scenario;
 use averages::{ERRORS, averages};
 use convolution::{Convolution, ConvolutionTape, PARAMETERS, initial_parameters, output};
+use ventilator::law::Law;
 
 /// Longest time between two errors, microseconds.
 pub const ERROR_SPACING_MAX_US: u32 = 100_000;
@@ -88,11 +89,6 @@ impl AuthorsController {
         Ok(Self { spec, fixed, spacing, parameters: parameters.to_vec() })
     }
 
-    /// The PID underneath.
-    pub fn pid(&self) -> &Pid {
-        self.fixed.pid()
-    }
-
     /// Time between two of the ten errors, ticks.
     pub fn spacing(&self) -> usize {
         self.spacing
@@ -110,6 +106,12 @@ pub struct AuthorsState {
     pid: PidState,
     /// Scaled errors of the breath, tick by tick.
     errors: Vec<f32>,
+}
+
+impl Law for AuthorsController {
+    fn pid(&self) -> &Pid {
+        self.fixed.pid()
+    }
 }
 
 impl ControlLaw for AuthorsController {

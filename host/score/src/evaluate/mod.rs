@@ -1,0 +1,245 @@
+//! Scores of any controller on any bench, by the paper's protocol (Suo et al. 2021, section 5).
+//!
+//! A [`Plan`] gives the waveforms, their number of breaths and the sensor noise. [`evaluate`] runs them with the same
+//! ventilator core as the chip and scores the *true* airway pressure, which only a bench knows. [`trace()`] records the
+//! curves of a few breaths; [`seeds`] keeps the noise of tuning, training and evaluation apart.
+
+mod comparison;
+mod effort;
+mod ground;
+mod score;
+#[cfg(test)]
+mod tests;
+mod trace;
+
+pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
+pub use effort::ValveEffort;
+pub use ground::{Ground, SourceGround};
+pub use score::{InspirationRecord, PLATEAU_S, Score, plateau_tolerance, score_breath, valve_effort};
+pub use trace::{BreathTrace, trace, trace_after, trace_source, trace_source_after};
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shared::breath::{Breath, DEFAULT_PERIOD_US, PAPER_PIPS};
+use shared::control::{ControlLaw, Controller};
+use shared::settings::Settings;
+
+use plant::bench::BenchConfig;
+use progress::{Progress, Stage, Task};
+use ventilator::seeds;
+use ventilator::{BenchSource, Reseed, SourceError, Tick};
+
+/// The breaths of an evaluation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Plan {
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// PIP of every waveform, cmH2O.
+    pub pips: Vec<f32>,
+    /// Number of scored breaths of every waveform.
+    pub breaths: usize,
+    /// Number of unscored breaths before them; the first one starts from rest, with the valve closed. A controller that learns from
+    /// breath to breath learns in these.
+    pub warm_up: usize,
+    /// Seeds of the sensor noise; every waveform runs once with each.
+    pub seeds: Vec<u64>,
+    /// All other settings of the breaths; PIP is replaced by each waveform's.
+    pub settings: Settings,
+}
+
+impl Default for Plan {
+    /// The paper's six waveforms at 1 kHz under the evaluation seeds of user seed 0.
+    fn default() -> Self {
+        Self {
+            period_us: DEFAULT_PERIOD_US,
+            pips: PAPER_PIPS.to_vec(),
+            breaths: 4,
+            warm_up: 1,
+            seeds: seeds::evaluation(0),
+            settings: Settings::default(),
+        }
+    }
+}
+
+impl Plan {
+    /// The default plan under the noise reserved for tuning.
+    pub fn tuning(seed: u64) -> Self {
+        Self { seeds: vec![seeds::tuning(seed)], ..Self::default() }
+    }
+
+    /// The default plan under the noise reserved for reported scores.
+    pub fn evaluation(seed: u64) -> Self {
+        Self { seeds: seeds::evaluation(seed), ..Self::default() }
+    }
+
+    /// Settings of the waveform with this PIP, cmH2O.
+    pub fn waveform(&self, pip: f32) -> Settings {
+        Settings { pip, ..self.settings }
+    }
+
+    /// Number of breaths that one evaluation runs.
+    pub fn breaths_run(&self) -> usize {
+        self.pips.len() * self.seeds.len() * (self.warm_up + self.breaths)
+    }
+}
+
+/// Score of one waveform: mean over seeds and breaths.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WaveformScore {
+    /// PIP, cmH2O.
+    pub pip: f32,
+    /// Its score; the overshoot is the mean of every breath's maximum.
+    #[serde(flatten)]
+    pub score: Score,
+}
+
+/// Result of an evaluation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// Scores by waveform, in the plan's order.
+    pub waveforms: Vec<WaveformScore>,
+    /// Mean over the waveforms.
+    pub mean: Score,
+    /// Mean score under each seed, in the plan's order, cmH2O.
+    pub by_seed: Vec<f64>,
+}
+
+/// Result of an evaluation, or why it could not be run.
+pub type Evaluated = Result<Evaluation, SourceError>;
+
+/// Runs a controller on a bench by a plan. The result does not depend on the number of threads.
+///
+/// # Errors
+/// The error of the first waveform, in the plan's order, that could not be run: refused settings or a fault of the
+/// ventilator.
+pub fn evaluate(bench: &BenchConfig, controller: &Controller, plan: &Plan) -> Evaluated {
+    evaluate_law(bench, controller, plan, &Progress::silent())
+}
+
+/// Like [`evaluate`], for any other controller; it can be stopped.
+///
+/// # Errors
+/// See [`evaluate`]; also [`SourceError::Stopped`].
+pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
+    bench: &BenchConfig,
+    controller: &C,
+    plan: &Plan,
+    progress: &Progress<'_>,
+) -> Evaluated {
+    let jobs: Vec<(f32, u64)> =
+        plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
+    let task = progress.task(Stage::Evaluate, jobs.len());
+    let scores = side_by_side(&jobs, &task, |(pip, seed)| {
+        let settings = plan.waveform(*pip);
+        let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
+        run(plan, &breaths(plan, *pip), &mut |breath, sink| source.breathe(breath, sink))
+    })?;
+    Ok(summarize(plan, &scores))
+}
+
+/// Runs all jobs on all threads until the task is stopped; returns the first error in the order of the jobs.
+pub fn side_by_side<T: Sync, R: Send>(
+    jobs: &[T],
+    task: &Task<'_>,
+    work: impl Fn(&T) -> Result<R, SourceError> + Sync,
+) -> Result<Vec<R>, SourceError> {
+    let outcomes: Vec<Result<R, SourceError>> = jobs
+        .par_iter()
+        .map(|job| {
+            if task.stopped() {
+                return Err(SourceError::Stopped);
+            }
+            let result = work(job)?;
+            task.advance(1);
+            Ok(result)
+        })
+        .collect();
+    outcomes.into_iter().collect()
+}
+
+/// Runs a controller on any other source by a plan, one waveform after the other. Scores the measured pressure if the
+/// true pressure is unknown.
+///
+/// # Errors
+/// The error of the first waveform that could not be run.
+pub fn evaluate_source<C: Clone>(
+    source: &mut dyn Reseed<C>,
+    controller: &C,
+    plan: &Plan,
+    progress: &Progress<'_>,
+) -> Evaluated {
+    let task = progress.task(Stage::Evaluate, plan.pips.len() * plan.seeds.len());
+    let mut scores = Vec::new();
+    for pip in &plan.pips {
+        for seed in &plan.seeds {
+            if task.stopped() {
+                return Err(SourceError::Stopped);
+            }
+            source.reseed(*seed);
+            source.configure(controller.clone(), None)?;
+            let breaths = breaths(plan, *pip);
+            source.upcoming(&breaths)?;
+            scores.push(run(plan, &breaths, &mut |breath, sink| source.breath(breath, sink))?);
+            task.advance(1);
+        }
+    }
+    Ok(summarize(plan, &scores))
+}
+
+/// Combines the scores of all runs, ordered by waveform, then by seed.
+fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
+    let seeds = plan.seeds.len();
+    let waveforms: Vec<WaveformScore> = plan
+        .pips
+        .iter()
+        .zip(scores.chunks(seeds.max(1)))
+        .map(|(pip, scores)| WaveformScore { pip: *pip, score: Score::mean(scores) })
+        .collect();
+    let of_seed = |index| -> Vec<Score> { scores.iter().skip(index).step_by(seeds).copied().collect() };
+    Evaluation {
+        mean: Score::mean(&waveforms.iter().map(|w| w.score).collect::<Vec<_>>()),
+        waveforms,
+        by_seed: (0..seeds).map(|index| Score::mean(&of_seed(index)).score).collect(),
+    }
+}
+
+/// Settings of all breaths of one waveform.
+fn breaths(plan: &Plan, pip: f32) -> Vec<Settings> {
+    let settings = plan.waveform(pip);
+    let mut breaths = vec![settings; plan.warm_up + plan.breaths];
+    // A controller that learns from breath to breath may forget when the settings change.
+    if let Some(last) = breaths.last_mut().filter(|_| plan.warm_up <= 1) {
+        *last = cut_short(&settings);
+    }
+    breaths
+}
+
+/// Runs one breath with these settings and passes each tick to the sink.
+type Breathe<'a> = dyn FnMut(&Settings, &mut dyn FnMut(&Tick)) -> Result<(), SourceError> + 'a;
+
+/// Runs and scores all breaths of one waveform.
+fn run(plan: &Plan, breaths: &[Settings], breathe: &mut Breathe<'_>) -> Result<Score, SourceError> {
+    let mut scores = Vec::with_capacity(plan.breaths);
+    for (number, breath) in breaths.iter().enumerate() {
+        let mut record = InspirationRecord::default();
+        let planned = Breath::new(breath, plan.period_us)?;
+        breathe(breath, &mut |tick| record.add_planned(tick, &planned))?;
+        if number >= plan.warm_up {
+            scores.push(record.score(breath, plan.period_us));
+        }
+    }
+    Ok(Score::mean(&scores))
+}
+
+/// The same inspiration with the shortest expiration that the schema's bounds allow: nothing after the last inspiration
+/// is scored.
+fn cut_short(settings: &Settings) -> Settings {
+    let short = Settings {
+        fall_time: 0.0,
+        // Slightly below the fastest rate, because rounding could exceed it.
+        rate: (59.99 / settings.inspiratory_time).max(settings.rate),
+        ..*settings
+    };
+    if short.validate().is_ok() { short } else { *settings }
+}

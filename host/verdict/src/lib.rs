@@ -1,0 +1,342 @@
+//! A verdict on a recording, breath by breath and lung by lung: how well the pressure follows its target.
+//!
+//! The recording may come from any ventilator. Its targets may ramp, end below PIP or be missing; ticks, flows and the
+//! true pressure may be missing; breaths may be cut short or end with the recording. Each of these has an answer: a
+//! figure that cannot be known is absent with a remark, and a breath that cannot be judged is listed with the reason.
+//!
+//! [`judge`] gives the figures of each breath ([`Figures`]), the fields of a test report for each lung and pair of
+//! settings ([`LungReport`]), the accuracy as manufacturers declare it ([`Accuracy`]), the result of declared limits
+//! ([`LimitResult`]) and the *sore spots*, the worst breath of each kind of trouble in words ([`SoreSpot`]).
+#![forbid(unsafe_code)]
+
+mod accuracy;
+mod curve;
+mod figures;
+pub mod fit_summary;
+pub mod identify;
+mod limits;
+mod lung_report;
+mod sore_spots;
+mod swings;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeSet, HashMap};
+use std::hash::Hash;
+use std::ops::Range;
+
+use serde::Serialize;
+use thiserror::Error;
+
+pub use self::accuracy::{Accuracy, Band, NoBand, USUAL};
+use self::curve::BreathCurve;
+pub use self::curve::Refusal;
+use self::figures::Context;
+pub use self::figures::Figures;
+pub use self::limits::{Kind, LimitResult, Limits, Violation};
+pub use self::lung_report::{IsoMatch, LungReport, Mean};
+pub use self::sore_spots::SoreSpot;
+pub use self::swings::Swings;
+use crate::identify::LungId;
+use crate::identify::cycle::{Cycle, Drift};
+use data::import::NO_SET_POINT;
+use data::recording::Recording;
+use data::recording::quality::noise;
+
+/// Length of a breath as a share of its lung's usual one, below which its end counts as missing.
+const WHOLE: f64 = 0.9;
+/// Litres per second in litres per minute.
+const L_PER_MIN: f64 = 60.0;
+
+/// Why a recording gives no verdict.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum VerdictError {
+    /// The sample period is 0.
+    #[error("the recording has no sample period")]
+    NoPeriod,
+    /// There is no breath.
+    #[error("the recording contains no breath")]
+    NoBreath,
+    /// No breath could be judged.
+    #[error("none of {breaths} breaths can be judged; the first one: {reason}")]
+    NoneJudged {
+        /// Number of breaths.
+        breaths: usize,
+        /// Why the first one cannot.
+        reason: Refusal,
+    },
+    /// A declared limit concerns a figure that no breath has.
+    #[error("the limit on the {what} cannot be checked on any breath: {reason}")]
+    Unknown {
+        /// What is limited.
+        what: &'static str,
+        /// Why it is unknown.
+        reason: String,
+    },
+}
+
+/// Which pressure is judged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Judged {
+    /// The true airway pressure, which a bench records.
+    True,
+    /// The pressure that the sensor measured.
+    Measured,
+}
+
+/// A judged breath.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Breath {
+    /// Number in the recording.
+    pub number: u32,
+    /// Its lung.
+    #[serde(flatten)]
+    pub lung: LungId,
+    /// PIP setting, cmH2O.
+    pub pip: f64,
+    /// PEEP setting, cmH2O.
+    pub peep: f64,
+    /// Its figures.
+    #[serde(flatten)]
+    pub figures: Figures,
+    /// Volume of the inspiration without the drift of the flow sensors, mL; needs flows and a whole breath.
+    pub tidal_volume_ml: Option<f64>,
+    /// Highest flow of the inspiration, L/min.
+    pub peak_flow_l_min: Option<f64>,
+    /// Rows in the recording.
+    #[serde(skip)]
+    pub rows: Range<usize>,
+    /// Whether the targets are set-points.
+    #[serde(skip)]
+    set_point: bool,
+    #[serde(skip)]
+    lung_index: usize,
+}
+
+impl Breath {
+    /// Name of its lung: the test run, else R and C.
+    pub fn lung_name(&self) -> String {
+        lung_name(&self.lung)
+    }
+}
+
+/// A breath that cannot be judged.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Unjudged {
+    /// Number in the recording.
+    pub breath: u32,
+    /// Name of the lung.
+    pub lung: String,
+    /// Why it cannot be judged.
+    pub reason: Refusal,
+}
+
+/// The verdict on a recording.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Verdict {
+    /// Name of the recorded plant.
+    pub plant: String,
+    /// Sample period, us.
+    pub period_us: u32,
+    /// Which pressure is judged.
+    pub judged: Judged,
+    /// Standard deviation of its noise, cmH2O.
+    pub noise: f64,
+    /// Whether the recording has set-points. Without them errors and accuracy are unknown, and overshoot, undershoot and
+    /// rise refer to the measured plateau.
+    pub set_point: bool,
+    /// Share of the inspiratory ticks with a random perturbation, 0 to 1: those breaths do not show the controller alone.
+    pub explored: f64,
+    /// Accuracy at the end of the inspiration, in relation to the target there.
+    pub accuracy_inspiration: Option<Accuracy>,
+    /// Accuracy at the end of the expiration, in relation to PEEP.
+    pub accuracy_expiration: Option<Accuracy>,
+    /// Report of each lung and pair of settings.
+    pub lungs: Vec<LungReport>,
+    /// Sore spots, the most severe first.
+    pub sore_spots: Vec<SoreSpot>,
+    /// Results of the declared limits.
+    pub limits: Vec<LimitResult>,
+    /// All judged breaths, in the order of the recording.
+    pub breaths: Vec<Breath>,
+    /// The breaths that cannot be judged.
+    pub unjudged: Vec<Unjudged>,
+}
+
+impl Verdict {
+    /// Number of breaths that violate a declared limit.
+    pub fn violating_breaths(&self) -> usize {
+        let breaths =
+            self.limits.iter().flat_map(|limit| &limit.violations).map(|violation| violation.breath);
+        breaths.collect::<BTreeSet<_>>().len()
+    }
+
+    /// Results of the tolerances that the sore spots have without declared limits, as far as a breath has the figure.
+    pub fn tolerated(&self) -> Vec<LimitResult> {
+        let mut results = limits::check(&Limits::tolerated(), &self.breaths);
+        results.retain(|result| result.checked > 0);
+        results
+    }
+}
+
+/// Name of a lung: its test run, else R and C, else `all`.
+fn lung_name(lung: &LungId) -> String {
+    match (&lung.run, lung.nominal_resistance, lung.nominal_compliance) {
+        (None, Some(r), Some(c)) => format!("R{r:.0}C{c:.0}"),
+        (Some(_), Some(r), Some(c)) => format!("{lung} (R{r:.0} C{c:.0})"),
+        _ => lung.to_string(),
+    }
+}
+
+/// Judges a recording: the true pressure if it is recorded and `judged` allows it, else the measured one.
+///
+/// # Errors
+/// No sample period, no breath, none that can be judged, or a declared limit on a figure that no breath has.
+pub fn judge(recording: &Recording, judged: Judged, limits: &Limits) -> Result<Verdict, VerdictError> {
+    if recording.provenance.period_us == 0 {
+        return Err(VerdictError::NoPeriod);
+    }
+    let (judged, pressure) = match (judged, &recording.pressure_true) {
+        (Judged::True, Some(pressure)) => (Judged::True, pressure),
+        _ => (Judged::Measured, &recording.pressure),
+    };
+    let readings: Vec<f32> = pressure.iter().copied().filter(|p| p.is_finite()).collect();
+    let context = RecordingContext {
+        recording,
+        pressure,
+        set_point: !recording.provenance.notes.iter().any(|note| note == NO_SET_POINT),
+        noise: noise(&readings),
+    };
+    let (breaths, unjudged) = context.breaths()?;
+    let results = limits::check(limits, &breaths);
+    if let Some(limit) = results.iter().find(|limit| limit.checked == 0) {
+        let remark = breaths[0].figures.remarks.first().cloned();
+        let reason = if context.set_point { remark } else { Some(NO_SET_POINT.to_owned()) };
+        let reason = reason.unwrap_or_else(|| "no breath has this figure".to_owned());
+        return Err(VerdictError::Unknown { what: limit.kind.name(), reason });
+    }
+    let errors = |error: fn(&Breath) -> Option<(f64, f64)>| {
+        let known = breaths.iter().filter(|breath| breath.set_point).filter_map(error);
+        accuracy::accuracy(&known.collect::<Vec<_>>())
+    };
+    Ok(Verdict {
+        plant: recording.provenance.plant.clone(),
+        period_us: recording.provenance.period_us,
+        judged,
+        noise: context.noise,
+        set_point: context.set_point,
+        explored: recording.explored(),
+        accuracy_inspiration: errors(|breath| {
+            let level = breath.figures.level;
+            Some((level, (breath.figures.end_inspiration? - level).abs()))
+        }),
+        accuracy_expiration: errors(|breath| {
+            Some((breath.peep, (breath.figures.end_expiration? - breath.peep).abs()))
+        }),
+        lungs: lung_report::lung_reports(&breaths, &unjudged),
+        sore_spots: sore_spots::sore_spots(limits, &breaths),
+        limits: results,
+        breaths,
+        unjudged,
+    })
+}
+
+/// A recording and what is known of it as a whole.
+struct RecordingContext<'a> {
+    recording: &'a Recording,
+    /// The judged pressure.
+    pressure: &'a [f32],
+    set_point: bool,
+    noise: f64,
+}
+
+/// What makes two breaths comparable: group, R and C; with PIP and PEEP for the inspiration. Bits, because NaN is
+/// possible.
+type Key = [u32; 5];
+
+impl RecordingContext<'_> {
+    /// Judges each breath.
+    fn breaths(&self) -> Result<(Vec<Breath>, Vec<Unjudged>), VerdictError> {
+        let all = self.recording.breaths();
+        let curves: Vec<_> =
+            all.iter().map(|rows| BreathCurve::new(self.recording, self.pressure, rows.clone())).collect();
+        let sound = || all.iter().zip(&curves).filter_map(|(rows, curve)| Some((rows, curve.as_ref().ok()?)));
+        let lengths = usual(sound().map(|(rows, curve)| (self.lung_key(rows), curve.length_s())));
+        let inspirations = usual(sound().map(|(rows, curve)| (self.key(rows), curve.inspiration_s())));
+        let mut lungs: HashMap<Key, usize> = HashMap::new();
+        let (mut breaths, mut unjudged) = (Vec::new(), Vec::new());
+        for (rows, curve) in all.iter().zip(&curves) {
+            let (number, lung) = (self.recording.breath[rows.start], LungId::of(self.recording, rows.start));
+            let curve = match curve {
+                Ok(curve) => curve,
+                Err(reason) => {
+                    unjudged.push(Unjudged { breath: number, lung: lung_name(&lung), reason: *reason });
+                    continue;
+                }
+            };
+            let (usual_length, count) = lengths[&self.lung_key(rows)];
+            let context = Context {
+                set_point: self.set_point,
+                noise: self.noise,
+                usual_inspiration_s: inspirations[&self.key(rows)].0,
+                whole: count > 1 && curve.length_s() >= WHOLE * usual_length,
+            };
+            let next = lungs.len();
+            let flow = context.whole.then(|| self.flow(rows, curve)).flatten();
+            breaths.push(Breath {
+                number,
+                lung,
+                pip: curve.pip,
+                peep: curve.peep,
+                figures: Figures::new(curve, &context),
+                tidal_volume_ml: flow.map(|flow| flow.0),
+                peak_flow_l_min: flow.map(|flow| flow.1),
+                rows: rows.clone(),
+                set_point: self.set_point,
+                lung_index: *lungs.entry(self.lung_key(rows)).or_insert(next),
+            });
+        }
+        match (breaths.first(), unjudged.first()) {
+            (None, None) => Err(VerdictError::NoBreath),
+            (None, Some(first)) => Err(VerdictError::NoneJudged { breaths: all.len(), reason: first.reason }),
+            _ => Ok((breaths, unjudged)),
+        }
+    }
+
+    fn lung_key(&self, rows: &Range<usize>) -> Key {
+        let bits =
+            |column: &Option<Vec<f32>>| column.as_ref().map_or(0, |values| values[rows.start].to_bits());
+        let group = self.recording.group.as_ref().map_or(0, |groups| groups[rows.start]);
+        [group, bits(&self.recording.resistance), bits(&self.recording.compliance), 0, 0]
+    }
+
+    fn key(&self, rows: &Range<usize>) -> Key {
+        let [group, resistance, compliance, ..] = self.lung_key(rows);
+        let settings = [&self.recording.pip, &self.recording.peep].map(|column| column[rows.start].to_bits());
+        [group, resistance, compliance, settings[0], settings[1]]
+    }
+
+    /// Tidal volume, mL, and highest flow, L/min, of a whole breath; `None` without flows or with missing rows.
+    fn flow(&self, rows: &Range<usize>, curve: &BreathCurve) -> Option<(f64, f64)> {
+        let even = self.recording.tick[rows.end - 1] as usize + 1 == rows.len();
+        let cycle = even.then(|| Cycle::new(self.recording, rows, curve.pressure.len())).flatten()?;
+        let flows = cycle.rows(Drift::Corrected, 0.0);
+        let volume = flows.iter().map(|row| row[1]).reduce(f64::max)?;
+        let flow = flows[..curve.pressure.len()].iter().map(|row| row[2]).reduce(f64::max)?;
+        (volume.is_finite() && flow.is_finite()).then_some((volume, L_PER_MIN * flow))
+    }
+}
+
+/// Median and number of the values of each key.
+fn usual<K: Eq + Hash>(values: impl Iterator<Item = (K, f64)>) -> HashMap<K, (f64, usize)> {
+    let mut by_key: HashMap<K, Vec<f64>> = HashMap::new();
+    for (key, value) in values {
+        by_key.entry(key).or_default().push(value);
+    }
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        (values[values.len() / 2], values.len())
+    };
+    by_key.into_iter().map(|(key, values)| (key, median(values))).collect()
+}

@@ -1,0 +1,192 @@
+//! Stability margins of a closed loop, measured by sine injection on the bench.
+//!
+//! A bench is held at an operating point ([`operating_point`]) under the real control law. An [`injection`] adds a sine to its
+//! command, and [`response`] correlates the commands just before and just after the sine with it: their ratio is the loop gain,
+//! whatever the law does. [`stability`] reads the margins from it. [`residual_gain`] bounds what the residual of a learned controller
+//! can do to its PID's loop, [`iteration`] certifies learning from breath to breath.
+//!
+//! The valve's backlash makes the loop gain depend on the amplitude: a sine smaller than the backlash moves nothing, a large one
+//! does not notice it. Every loop is therefore measured with two amplitudes.
+#![forbid(unsafe_code)]
+
+pub mod complex;
+pub mod injection;
+pub mod iteration;
+pub mod operating_point;
+pub mod residual_gain;
+pub mod response;
+pub mod stability;
+#[cfg(test)]
+mod tests;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shared::breath::{PAPER_PIPS, period_s};
+use shared::control::residual::Residual;
+use shared::control::{ControlLaw, Controller};
+
+use operating_point::{HELD_AT_S, OperatingPoint};
+use plant::bench::{BenchConfig, BenchError};
+use progress::{Progress, Stage, Task};
+use residual_gain::ResidualGain;
+use response::{Loop, ResponsePoint, Sweep};
+use stability::Margins;
+
+/// Time in which a loop comes to rest, s: six time constants of the slowest lung of the adult family.
+const SETTLE_S: f64 = 20.0;
+/// Standard deviation of the pressure reading at rest above which a loop oscillates by itself, cmH2O.
+const OSCILLATES_CMH2O: f64 = 1.0;
+/// Factor on the amplitude of the second measurement.
+const LARGER: f64 = 2.0;
+
+/// A loop measured at one operating point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredPoint {
+    /// The operating point.
+    #[serde(flatten)]
+    pub point: OperatingPoint,
+    /// Standard deviation of the pressure reading at rest, before any sine, cmH2O.
+    pub rest_sd_cmh2o: f64,
+    /// Its margins; none if it oscillates by itself.
+    pub margins: Option<Margins>,
+    /// Its margins with twice the amplitude.
+    pub doubled: Option<Margins>,
+    /// Share of the time in which the command with the sine reached the valve's limits.
+    pub limited: f64,
+    /// The response from which the margins were read.
+    pub response: Vec<ResponsePoint>,
+}
+
+/// The loops of a plant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlantMargins {
+    /// Name of the plant.
+    pub plant: String,
+    /// The loop at every operating point.
+    pub points: Vec<MeasuredPoint>,
+    /// The worst margins of all points; none if a loop oscillates by itself.
+    pub worst: Option<Margins>,
+    /// The same for the PID underneath a learned controller.
+    pub pid: Option<PidMargins>,
+}
+
+/// The loops of the PID underneath a learned controller, and what its residual can do to them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PidMargins {
+    /// Its loop at every operating point.
+    pub points: Vec<MeasuredPoint>,
+    /// The worst margins of all operating points; none if a loop oscillates by itself.
+    pub worst: Option<Margins>,
+    /// The residual's largest incremental gain.
+    pub residual: ResidualGain,
+}
+
+/// What is measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Question {
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// The measurement.
+    pub sweep: Sweep,
+    /// Seed of the sensor noise.
+    pub seed: u64,
+}
+
+/// Measures a law on plants, at the operating points of the paper's six waveforms, on all threads; with the residual of a learned
+/// controller, the PID underneath it too. Plants that are not done when it is stopped are left out.
+///
+/// # Errors
+/// A bench that cannot be built, or a control period that it cannot run.
+pub fn measure<C: ControlLaw + Sync>(
+    plants: &[BenchConfig],
+    law: &C,
+    residual: Option<&Residual>,
+    question: &Question,
+    progress: &Progress<'_>,
+) -> Result<Vec<PlantMargins>, BenchError>
+where
+    C::State: Clone,
+{
+    let task = progress.task(Stage::Margins, plants.len() * PAPER_PIPS.len());
+    let plants: Result<Vec<_>, BenchError> =
+        plants.par_iter().map(|plant| measure_plant(plant, law, residual, question, &task)).collect();
+    Ok(plants?.into_iter().flatten().collect())
+}
+
+/// Measures a law on one plant; none if it was stopped.
+fn measure_plant<C: ControlLaw + Sync>(
+    plant: &BenchConfig,
+    law: &C,
+    residual: Option<&Residual>,
+    question: &Question,
+    task: &Task<'_>,
+) -> Result<Option<PlantMargins>, BenchError>
+where
+    C::State: Clone,
+{
+    let points = OperatingPoint::of_paper(plant)?;
+    let measured: Result<Vec<_>, BenchError> = points
+        .par_iter()
+        .map(|point| {
+            if task.stopped() {
+                return Ok(None);
+            }
+            let own = measure_point(plant, *point, law, question)?;
+            let underneath = |residual: &Residual| {
+                measure_point(plant, *point, &Controller::Pid(*residual.pid()), question)
+            };
+            let pid = residual.map(underneath).transpose()?;
+            task.advance(1);
+            Ok(Some((own, pid)))
+        })
+        .collect();
+    let Some(measured) = measured?.into_iter().collect::<Option<Vec<_>>>() else { return Ok(None) };
+    let (points, pids): (Vec<_>, Vec<_>) = measured.into_iter().unzip();
+    let pid = match (residual, pids.into_iter().collect::<Option<Vec<_>>>()) {
+        (Some(residual), Some(pids)) => Some(PidMargins {
+            worst: worst(&pids),
+            residual: ResidualGain::of(residual, plant, &pids, question.seed)?,
+            points: pids,
+        }),
+        _ => None,
+    };
+    Ok(Some(PlantMargins { plant: plant.name.clone(), worst: worst(&points), points, pid }))
+}
+
+/// Measures a law on a plant at one operating point, with both amplitudes.
+///
+/// # Errors
+/// A bench that cannot be built, or a control period that it cannot run.
+pub fn measure_point<C: ControlLaw>(
+    plant: &BenchConfig,
+    point: OperatingPoint,
+    law: &C,
+    question: &Question,
+) -> Result<MeasuredPoint, BenchError>
+where
+    C::State: Clone,
+{
+    let period_us = question.period_us;
+    let held_tick = (HELD_AT_S / f64::from(period_s(period_us))) as u32;
+    let control = Loop { law, seen: point.observation(), period_us, held_tick };
+    let (rest, sd) = control.settle(point.bench(plant, period_us, question.seed)?, SETTLE_S);
+    let sweep = question.sweep;
+    let (response, limited) = control.response(&rest, &sweep);
+    let larger = sweep.with_amplitude(LARGER * sweep.amplitude);
+    let (doubled, _) = control.response(&rest, &larger);
+    let steady = sd <= OSCILLATES_CMH2O;
+    Ok(MeasuredPoint {
+        point,
+        rest_sd_cmh2o: sd,
+        margins: Margins::of(&response).filter(|_| steady),
+        doubled: Margins::of(&doubled).filter(|_| steady),
+        limited,
+        response,
+    })
+}
+
+/// The worst margins of some points; none if one of them has none.
+fn worst(points: &[MeasuredPoint]) -> Option<Margins> {
+    let margins: Option<Vec<Margins>> = points.iter().map(|point| point.margins).collect();
+    margins?.into_iter().reduce(|one, other| one.worst(&other))
+}

@@ -1,0 +1,174 @@
+//! The paper's experiments on the virtual bench, and further ones (Suo et al. 2021, section 6).
+//!
+//! [`run`] divides the experiments into pieces, which run side by side, in three groups: what the others need comes first. Each piece
+//! keeps its result as JSON in the folder, so that a stopped run can continue and pieces can use earlier results. At the end, all
+//! results in the folder are combined into `results.json` and one report.
+#![forbid(unsafe_code)]
+
+mod ablations;
+pub mod authors;
+mod balloon;
+mod changes;
+mod error;
+mod generalist;
+mod iso;
+mod learning;
+mod limits;
+mod lungs;
+mod report;
+mod results;
+mod rivals;
+pub mod shards;
+mod side_by_side;
+mod study;
+#[cfg(test)]
+mod tests;
+mod tracking;
+mod unseen;
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
+
+use error::Result;
+use plant::bench::BenchConfig;
+use progress::Progress;
+
+pub use ablations::Ablation;
+pub use error::PaperError;
+pub use report::{headline, lungs_table};
+pub use results::{
+    BalloonFigures, EffortFigures, IsoFigures, LungFigures, LungMeans, Results, RlFigure, RlFigures,
+    UnseenFigures,
+};
+pub use rivals::{Contender, Contest};
+use side_by_side::{Piece, piece, side_by_side};
+pub use study::Budget;
+use study::Study;
+
+/// An experiment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+pub enum Experiment {
+    /// The best P, I and PID for each lung and for all lungs
+    Tuning,
+    /// A learned controller for each lung
+    Lungs,
+    /// One learned controller for all lungs
+    Generalist,
+    /// A reference bound per lung: commands optimised on a fully known bench
+    Bound,
+    /// Curves of all controllers on one lung
+    Tracking,
+    /// Lungs and ventilators not used in training
+    Unseen,
+    /// Controllers for a whole family of plants, and laws from the literature
+    Rivals,
+    /// A lung that changes between two breaths
+    Changes,
+    /// The pressure-control rows of the test table
+    Iso,
+    /// The authors' own plant, beside their figures
+    Balloon,
+    /// PPO and DQN on the learned simulators of one lung
+    Rl,
+    /// The contribution of each part of the system, on one lung
+    Ablations,
+}
+
+impl Experiment {
+    /// The experiments in groups: those of a group need only earlier groups. Within a group, long pieces come first.
+    const GROUPS: [&[Self]; 3] = [
+        &[Self::Tuning],
+        &[Self::Generalist, Self::Lungs, Self::Balloon, Self::Ablations, Self::Bound],
+        &[Self::Rl, Self::Unseen, Self::Rivals, Self::Tracking, Self::Iso, Self::Changes],
+    ];
+
+    /// The experiments that this one needs.
+    fn needs(self) -> &'static [Self] {
+        match self {
+            Self::Tuning | Self::Bound | Self::Balloon | Self::Rivals => &[],
+            Self::Lungs | Self::Generalist | Self::Ablations => &[Self::Tuning],
+            Self::Unseen | Self::Changes | Self::Iso => &[Self::Tuning, Self::Generalist],
+            Self::Rl => &[Self::Tuning, Self::Lungs],
+            Self::Tracking => &[Self::Tuning, Self::Lungs, Self::Generalist],
+        }
+    }
+
+    /// Whether a run of `only` includes this one.
+    fn runs_for(self, only: &[Self]) -> bool {
+        only.iter().any(|chosen| *chosen == self || chosen.needs().contains(&self))
+    }
+
+    /// Number of its pieces, which is known before earlier groups are done.
+    fn count(self, study: &Study<'_>) -> usize {
+        match self {
+            Self::Tuning
+            | Self::Generalist
+            | Self::Bound
+            | Self::Tracking
+            | Self::Changes
+            | Self::Iso
+            | Self::Balloon => 1,
+            Self::Lungs => study.lungs().len(),
+            Self::Unseen => unseen::plants().len(),
+            Self::Rivals => study.lungs().len() + unseen::plants().len(),
+            Self::Rl => learning::PIECES,
+            Self::Ablations => ablations::count(study),
+        }
+    }
+
+    /// Its pieces of work.
+    fn pieces<'a>(self, study: &'a Study<'_>) -> Result<Vec<Piece<'a>>> {
+        Ok(match self {
+            Self::Tuning => vec![piece(|| lungs::tuned(study))],
+            Self::Lungs => lungs::pieces(study)?,
+            Self::Generalist => vec![piece(|| generalist::generalist(study))],
+            Self::Bound => vec![piece(|| limits::limits(study))],
+            Self::Tracking => vec![piece(|| tracking::tracking(study))],
+            Self::Unseen => unseen::pieces(study)?,
+            Self::Rivals => rivals::pieces(study)?,
+            Self::Changes => vec![piece(|| changes::changes(study))],
+            Self::Iso => vec![piece(|| iso::iso(study))],
+            Self::Balloon => vec![piece(|| balloon::balloon(study))],
+            Self::Rl => learning::pieces(study)?,
+            Self::Ablations => ablations::pieces(study)?,
+        })
+    }
+}
+
+/// Configuration of a reproduction.
+#[derive(Clone, Debug)]
+pub struct Reproduction {
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// Repeats and sizes of the experiments.
+    pub budget: Budget,
+    /// The lungs to train on.
+    pub lungs: Vec<BenchConfig>,
+    /// Folder for all results.
+    pub out: PathBuf,
+    /// The experiments to run; those they depend on run as well.
+    pub only: Vec<Experiment>,
+}
+
+/// Runs the experiments, then writes all results in the folder as `results.json`, `report.html` and `results.md`.
+///
+/// # Errors
+/// The error of the first experiment that fails; results of earlier ones stay.
+pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results> {
+    let study = Study::new(reproduction, progress)?;
+    for group in Experiment::GROUPS {
+        let mut pieces = Vec::new();
+        for experiment in group.iter().filter(|experiment| experiment.runs_for(&reproduction.only)) {
+            pieces.extend(experiment.pieces(&study)?);
+        }
+        side_by_side(&pieces)?;
+    }
+    let results = Results::gather(&study)?;
+    study.write("results.json", &results)?;
+    let report = report::report(&study, &results)?;
+    report.save(study.path("report.html"))?;
+    report.save_markdown(&reproduction.out, "results")?;
+    Ok(results)
+}
