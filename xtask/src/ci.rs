@@ -127,7 +127,7 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
         scope.spawn(|| progress.follow(chip, &chosen, |step| show_chip(step.command(&root, &xtask))));
     });
     let State { passed, failed } = progress.state.into_inner().unwrap_or_else(PoisonError::into_inner);
-    print!("{}", summary(&passed, begun.elapsed()));
+    print!("{}", summary(&passed, begun.elapsed().as_secs_f64()));
     if let Some(step) = failed {
         bail!("step `{}` failed; repeat it with: {}", step.name, step.command_line());
     }
@@ -161,7 +161,7 @@ struct Progress {
 
 #[derive(Default)]
 struct State {
-    passed: Vec<(&'static str, Duration)>,
+    passed: Vec<(&'static str, Cost)>,
     /// The first step that failed.
     failed: Option<&'static Step>,
 }
@@ -184,7 +184,7 @@ impl Progress {
             if let Err(error) = &result {
                 println!("{}: {error}", step.name);
             }
-            self.finish(step, begun.elapsed(), matches!(result, Ok(true)));
+            self.finish(step, begun.elapsed(), children_s(), matches!(result, Ok(true)));
         }
     }
 
@@ -199,10 +199,12 @@ impl Progress {
         self.changed.wait_while(state, waits).unwrap_or_else(PoisonError::into_inner).failed.is_none()
     }
 
-    fn finish(&self, step: &'static Step, time: Duration, passed: bool) {
+    /// Notes the end of a step; `children` is the processor time of all steps that have ended, s.
+    fn finish(&self, step: &'static Step, wall: Duration, children: f64, passed: bool) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if passed {
-            state.passed.push((step.name, time));
+            let processor = children - state.passed.iter().map(|(_, cost)| cost.processor_s).sum::<f64>();
+            state.passed.push((step.name, Cost { wall_s: wall.as_secs_f64(), processor_s: processor }));
         } else {
             state.failed.get_or_insert(step);
         }
@@ -210,10 +212,33 @@ impl Progress {
     }
 }
 
-/// One line per passed step, and the total time.
-fn summary(times: &[(&str, Duration)], total: Duration) -> String {
-    let line = |(name, time): &(&str, Duration)| format!("{name:<12} {:>7.1} s\n", time.as_secs_f64());
-    let lines: String = times.iter().chain([&("total", total)]).map(line).collect();
+/// What a step has cost, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Cost {
+    wall_s: f64,
+    /// Over all cores.
+    processor_s: f64,
+}
+
+/// Processor time of all child processes that have ended, s: what a step costs a machine, however busy it is. 0 where the system does
+/// not count it.
+fn children_s() -> f64 {
+    /// Ticks per second of the times in this file, on every Linux.
+    const TICKS: f64 = 100.0;
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // The name of the program, in brackets, may contain blanks. `cutime` and `cstime` are the fields 16 and 17 of the line.
+    let after_name = stat.rsplit(") ").next().unwrap_or_default();
+    let ticks = after_name.split(' ').skip(13).take(2).filter_map(|ticks| ticks.parse::<f64>().ok());
+    ticks.sum::<f64>() / TICKS
+}
+
+/// One line per passed step, and the sums.
+fn summary(costs: &[(&str, Cost)], wall_s: f64) -> String {
+    let processor_s = costs.iter().map(|(_, cost)| cost.processor_s).sum();
+    let line = |(name, cost): &(&str, Cost)| {
+        format!("{name:<12} {:>7.1} s {:>7.1} s of processors\n", cost.wall_s, cost.processor_s)
+    };
+    let lines: String = costs.iter().chain([&("total", Cost { wall_s, processor_s })]).map(line).collect();
     format!("\n=== summary, lanes in parallel\n{lines}")
 }
 
@@ -232,11 +257,23 @@ mod tests {
     }
 
     #[test]
-    fn the_summary_names_each_step_and_the_time_of_all() {
-        let times = [("format", Duration::from_millis(1500)), ("test", Duration::from_secs(62))];
-        let text = summary(&times, Duration::from_secs(62));
-        let lines = "format           1.5 s\ntest            62.0 s\ntotal           62.0 s\n";
-        assert_eq!(text, format!("\n=== summary, lanes in parallel\n{lines}"));
+    fn the_summary_names_each_step_with_its_cost_and_the_sums() {
+        let cost = |wall_s, processor_s| Cost { wall_s, processor_s };
+        let text = summary(&[("format", cost(1.5, 1.0)), ("test", cost(62.0, 100.0))], 62.0);
+        let lines = [
+            "format           1.5 s     1.0 s of processors\n",
+            "test            62.0 s   100.0 s of processors\n",
+            "total           62.0 s   101.0 s of processors\n",
+        ];
+        assert_eq!(text, format!("\n=== summary, lanes in parallel\n{}", lines.concat()));
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn the_processor_time_of_a_child_is_counted() {
+        let before = children_s();
+        let busy = Command::new("sh").args(["-c", "i=0; while [ $i -lt 200000 ]; do i=$((i+1)); done"]).status();
+        assert!(busy.unwrap().success() && children_s() > before);
     }
 
     #[test]
