@@ -18,10 +18,10 @@ use shared::control::pid::{Pid, PidGains};
 use crate::error::{Result, StudyError};
 use data::files::{read_json, write_atomically, write_json, write_json_indented};
 use judge::baselines::{Best, Search, tune_pid};
-use judge::evaluate::{BreathTrace, Evaluation, Plan};
+use judge::evaluate::{BreathTrace, EVALUATE, Evaluation, Plan};
 use learn::pipeline::{self, Folder, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
-use progress::{Progress, Stage};
+use progress::Progress;
 
 pub use summary::{Compared, ContestantMeans, DemoSummary};
 pub use venue::Venue;
@@ -144,7 +144,7 @@ fn compare(
         ("PID", pid(best.pid.gains)?),
         ("learned", Controller::Residual(outcome.learned.controller.clone())),
     ];
-    let task = progress.task(Stage::Evaluate, controllers.len() * plan.pips.len() * plan.seeds.len());
+    let task = progress.task(EVALUATE, controllers.len() * plan.pips.len() * plan.seeds.len());
     // In parallel: a board keeps one core busy.
     let contestant = |(name, controller): (&'static str, Controller)| {
         let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &task.part())?;

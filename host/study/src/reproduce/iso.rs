@@ -6,9 +6,9 @@ use shared::breath::ISO_ROWS;
 use super::generalist;
 use super::study::Study;
 use crate::error::Result;
+use judge::evaluate::EVALUATE;
 use judge::test_table::{Outcome, outcome};
 use plant::bench::BenchConfig;
-use progress::Stage;
 
 /// Result of a row.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -33,7 +33,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoResult>> {
         let (learned, single) = generalist::with_rival(study)?;
         let benches = BenchConfig::iso_lungs();
         let seed = study.plan().seeds[0];
-        let task = study.progress.of("test table").task(Stage::Evaluate, ISO_ROWS.len());
+        let task = study.progress.of("test table").task(EVALUATE, ISO_ROWS.len());
         ISO_ROWS
             .iter()
             .zip(&benches)
