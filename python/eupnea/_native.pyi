@@ -457,8 +457,8 @@ def call(arguments: Sequence[str], progress: Callable[[str, int, int], None] | N
 def command_help(command: str) -> str:
     """Return the help of a command of the trainer."""
 
-def command_options(command: str) -> list[str]:
-    """Return the options of a command of the trainer."""
+def command_options(command: str) -> dict[str, bool]:
+    """Return the options of a command of the trainer, each with whether it is repeated for several values."""
 
 def noise_seeds(command: str, seed: int) -> list[int]:
     """Return the seeds of the sensor noise that `"collect"`, `"evaluate"` or `"tune-pid"` uses with this seed."""

@@ -2,7 +2,8 @@
 
 Every function takes the options of its command as keywords, with underscores in place of dashes: `breaths_of_learning=20` is
 `--breaths-of-learning 20`; `help(eupnea.evaluate)` lists them. It returns what `--json` writes, as a dictionary. Ctrl-C stops a
-command, which keeps its results so far as on the command line, and raises `KeyboardInterrupt`.
+command, which keeps its results so far as on the command line, and raises `KeyboardInterrupt`. Commands can run at the same time, each
+in a thread of its own; an exception of its function for the progress stops one of them.
 
 All functions raise `ValueError` for wrong options, `OSError` for files that cannot be read or written, and `RuntimeError` if the
 command fails otherwise.
@@ -31,9 +32,6 @@ Progress = Callable[[str, int, int], None]
 PathLike = str | os.PathLike[str]
 Result = dict[str, Any]
 
-#: Options whose values are separate words rather than one list with commas.
-_WORDS = {"data", "simulator", "bench", "lung", "hold_out_lung", "files"}
-
 
 def run(command: str, *files: PathLike, progress: Progress | bool = True, **options: Any) -> Result:
     """Run any command of the trainer that writes JSON.
@@ -48,12 +46,12 @@ def run(command: str, *files: PathLike, progress: Progress | bool = True, **opti
     Returns:
         The content of `--json`.
     """
-    known = {name.replace("-", "_") for name in _native.command_options(command)}
-    unknown = sorted(options.keys() - known)
+    known = {name.replace("-", "_"): repeated for name, repeated in _native.command_options(command).items()}
+    unknown = sorted(options.keys() - known.keys())
     if unknown:
         raise ValueError(f"{command} has no option {unknown[0]!r}: choose from {', '.join(sorted(known))}")
     with tempfile.TemporaryDirectory() as folder:
-        named = _arguments(options, Path(folder))
+        named = _arguments(options, known, Path(folder))
         arguments = [command, *named, "--", *(os.fspath(file) for file in files)]
         observer = _Line() if progress is True and sys.stderr.isatty() else progress
         text = _native.call(arguments, observer if callable(observer) else None)
@@ -61,7 +59,7 @@ def run(command: str, *files: PathLike, progress: Progress | bool = True, **opti
     return result
 
 
-def _arguments(options: dict[str, Any], folder: Path) -> Iterator[str]:
+def _arguments(options: dict[str, Any], repeated: dict[str, bool], folder: Path) -> Iterator[str]:
     for name, value in options.items():
         flag = "--" + name.replace("_", "-")
         if value is None or (isinstance(value, (bool, np.bool_)) and not value):
@@ -74,7 +72,7 @@ def _arguments(options: dict[str, Any], folder: Path) -> Iterator[str]:
             yield f"{'--bench' if name == 'lung' else flag}={description}"
         elif isinstance(value, Iterable) and not isinstance(value, (str, bytes, os.PathLike)):
             words = [os.fspath(word) if isinstance(word, os.PathLike) else str(word) for word in value]
-            yield from (f"{flag}={word}" for word in (words if name in _WORDS else [",".join(words)]))
+            yield from (f"{flag}={word}" for word in (words if repeated[name] else [",".join(words)]))
         else:
             yield f"{flag}={os.fspath(value) if isinstance(value, os.PathLike) else value}"
 

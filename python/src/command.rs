@@ -1,11 +1,14 @@
 //! Commands of the trainer, called from Python: the same arguments and the same results, bit for bit.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use host::cli::embedded::{self, CallError, Session};
+use host::cli::Cli;
+use host::command::call::{self as trainer, CallError};
 use progress::Event;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -23,16 +26,15 @@ type News = Mutex<Vec<(String, usize, usize)>>;
 #[pyfunction]
 #[pyo3(signature = (arguments, progress=None))]
 pub fn call(py: Python<'_>, arguments: Vec<OsString>, progress: Option<Py<PyAny>>) -> PyResult<String> {
-    let session = Session::begin().map_err(|error| exception(&error))?;
-    let news = Arc::new(News::default());
-    let observer: embedded::Observer = {
-        let news = news.clone();
-        Arc::new(move |event: &Event<'_>| note(&news, event))
-    };
+    let (news, stop) = (Arc::new(News::default()), Arc::new(AtomicBool::new(false)));
     let (answer, answers) = channel();
     let answers = Mutex::new(answers);
-    let worker = std::thread::Builder::new().spawn(move || {
-        let _ = answer.send(session.run(&arguments, observer));
+    let worker = std::thread::Builder::new().spawn({
+        let (news, stop) = (news.clone(), stop.clone());
+        move || {
+            let observer = |event: &Event<'_>| note(&news, event);
+            let _ = answer.send(trainer::call::<Cli>(&arguments, &observer, &stop));
+        }
     });
     worker.map_err(errors::runtime)?;
     let mut interrupted = None;
@@ -47,7 +49,7 @@ pub fn call(py: Python<'_>, arguments: Vec<OsString>, progress: Option<Py<PyAny>
             Err(RecvTimeoutError::Timeout) => {}
         }
         if let Err(error) = py.check_signals() {
-            embedded::request_stop();
+            stop.store(true, Ordering::SeqCst);
             // A second Ctrl-C does not wait for the command.
             if let Some(first) = interrupted.replace(error) {
                 return Err(first);
@@ -57,7 +59,7 @@ pub fn call(py: Python<'_>, arguments: Vec<OsString>, progress: Option<Py<PyAny>
             && let Err(error) = report(py, &news, progress.as_ref())
         {
             interrupted = Some(error);
-            embedded::request_stop();
+            stop.store(true, Ordering::SeqCst);
         }
     };
     if let Some(error) = interrupted {
@@ -70,13 +72,13 @@ pub fn call(py: Python<'_>, arguments: Vec<OsString>, progress: Option<Py<PyAny>
 /// The help of a command, as the command line prints it.
 #[pyfunction]
 pub fn command_help(command: &str) -> PyResult<String> {
-    embedded::help(command).ok_or_else(|| unknown(command))
+    trainer::help::<Cli>(command).ok_or_else(|| unknown(command))
 }
 
-/// The options of a command without their dashes.
+/// The options of a command without their dashes, each with whether it is repeated for several values.
 #[pyfunction]
-pub fn command_options(command: &str) -> PyResult<Vec<String>> {
-    embedded::options(command).ok_or_else(|| unknown(command))
+pub fn command_options(command: &str) -> PyResult<BTreeMap<String, bool>> {
+    trainer::options::<Cli>(command).ok_or_else(|| unknown(command))
 }
 
 fn unknown(command: &str) -> PyErr {
@@ -85,7 +87,7 @@ fn unknown(command: &str) -> PyErr {
 
 /// Notes the latest progress of a stage.
 fn note(news: &News, event: &Event<'_>) {
-    let stage = embedded::stage(event);
+    let stage = event.label();
     let mut news = news.lock().unwrap_or_else(PoisonError::into_inner);
     match news.iter_mut().find(|(name, ..)| *name == stage) {
         // Parts that run in parallel report out of order.
@@ -104,7 +106,7 @@ fn report(py: Python<'_>, news: &News, progress: Option<&Py<PyAny>>) -> PyResult
 fn exception(error: &CallError) -> PyErr {
     match error {
         CallError::Usage(text) => PyValueError::new_err(text.clone()),
-        CallError::Stopped | CallError::Busy => errors::runtime(error),
+        CallError::Stopped => errors::runtime(error),
         CallError::Failed(cause) => {
             let text = error.to_string();
             errors::from_chain(cause.as_ref(), text.clone()).unwrap_or_else(|| PyRuntimeError::new_err(text))

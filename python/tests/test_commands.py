@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -122,17 +123,31 @@ def test_ctrl_c_stops_a_command_and_keeps_its_results(tmp_path, interruptible):
     assert eupnea.evaluate(gains=(3, 30), pips=[20], breaths=1)["mean"]["pid"]["score"] > 0
 
 
-def test_a_second_command_is_refused_while_one_runs():
-    refused = []
+def test_commands_run_side_by_side_and_one_stops_without_the_other(tmp_path):
+    class Enough(Exception):
+        pass
 
-    def second(stage, done, total):
-        if not refused:
-            with pytest.raises(RuntimeError, match="another command") as error:
-                eupnea.evaluate(gains=(3, 30), pips=[20], breaths=1)
-            refused.append(error)
+    begun, evaluated = threading.Event(), threading.Event()
 
-    eupnea.robust("adult", plants=100, subset=0, breaths=2, progress=second)
-    assert refused
+    def stop_after_the_other(stage, done, total):
+        begun.set()
+        if evaluated.is_set():
+            raise Enough
+
+    def collect():
+        with pytest.raises(Enough):
+            eupnea.collect(out=tmp_path / "stopped.parquet", breaths=20 * BREATHS, progress=stop_after_the_other)
+
+    alone = [eupnea.evaluate(gains=(3, 30), pips=[pip], breaths=1) for pip in (15, 20)]
+    with ThreadPoolExecutor() as pool:
+        stopped = pool.submit(collect)
+        assert begun.wait(60)
+        together = [pool.submit(eupnea.evaluate, gains=(3, 30), pips=[pip], breaths=1) for pip in (15, 20)]
+        assert [result.result() for result in together] == alone
+        assert not stopped.done()
+        evaluated.set()
+        stopped.result()
+    assert alone[0] != alone[1]
 
 
 def test_an_exception_of_the_progress_stops_the_command():

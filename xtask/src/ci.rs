@@ -272,7 +272,8 @@ mod tests {
     #[cfg(target_os = "linux")]
     fn the_processor_time_of_a_child_is_counted() {
         let before = children_s();
-        let busy = Command::new("sh").args(["-c", "i=0; while [ $i -lt 200000 ]; do i=$((i+1)); done"]).status();
+        let busy =
+            Command::new("sh").args(["-c", "i=0; while [ $i -lt 200000 ]; do i=$((i+1)); done"]).status();
         assert!(busy.unwrap().success() && children_s() > before);
     }
 

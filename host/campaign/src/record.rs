@@ -6,7 +6,6 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
@@ -21,9 +20,6 @@ pub use results::{CURVE, Curve, Results};
 
 /// File name of a run's record in its folder.
 pub const MADE_BY: &str = "made-by.json";
-
-/// Options of this process's command, see [`describe`].
-static OPTIONS: OnceLock<Options> = OnceLock::new();
 
 /// Values of a command's options by name, defaults included. Several values are separated by blanks.
 pub type Options = BTreeMap<String, String>;
@@ -98,18 +94,13 @@ pub struct Record {
     pub results: Results,
 }
 
-/// Tells all records of this process the options of its command. The first call counts.
-pub fn describe(options: Options) {
-    OPTIONS.get_or_init(|| options);
-}
-
 impl Record {
-    /// The record of a run that this process begins.
-    pub fn begin() -> Self {
+    /// The record of a run that this process begins, of a command with these options.
+    pub fn begin(options: &Options) -> Self {
         let engine = Engine::current();
         Self {
             command: std::env::args().skip(1).collect(),
-            options: OPTIONS.get().cloned().unwrap_or_default(),
+            options: options.clone(),
             revision: git_revision(),
             build: build_id(),
             host: host(),
@@ -218,7 +209,7 @@ mod tests {
 
     #[test]
     fn a_run_that_was_killed_is_told_from_one_that_runs() {
-        let running = Record::begin();
+        let running = Record::begin(&Options::default());
         assert_eq!(running.state(), State::Running);
         let reused = Record { command: vec!["another".into()], ..running.clone() };
         assert_eq!(reused.state(), State::Killed);
@@ -232,9 +223,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join(MADE_BY);
         assert_eq!(Record::load(&file).unwrap(), None);
-        let first = Record { began_s: 7, spent_s: 100.0, ..Record::begin() };
+        let first = Record { began_s: 7, spent_s: 100.0, ..Record::begin(&Options::default()) };
         let results = Results::of(&serde_json::json!({ "mean": { "learned": 0.9 } }));
-        let second = Record::begin().continuing(&first).running(&file);
+        let second = Record::begin(&Options::default()).continuing(&first).running(&file);
         second.write().unwrap();
         assert_eq!(Record::load(&file).unwrap().unwrap().state(), State::Running);
         second.end(Ending::Complete, results.clone()).unwrap();

@@ -18,7 +18,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::difference;
-use crate::record::{Ending, Record, Results};
+use crate::record::{Ending, Options, Record, Results};
 use crate::{Campaign, CampaignError, CampaignOf, Share, UnitOf, Work};
 use data::files::{create_json_indented, read_json};
 use data::provenance::build_id;
@@ -114,8 +114,8 @@ impl RunFolder {
         self.0.join("shards").join(format!("{}-of-{}.json", share.index(), share.of()))
     }
 
-    /// Runs a shard of the first `units` units of some work, or continues it, and saves it in the folder. True if it is complete,
-    /// false if it was stopped.
+    /// Runs a shard of the first `units` units of some work, or continues it, and saves it in the folder, with a record that has the
+    /// options of the command. True if it is complete, false if it was stopped.
     ///
     /// # Errors
     /// A folder that belongs to a different run or cannot be written, or a unit that fails, which the task's record names.
@@ -124,6 +124,7 @@ impl RunFolder {
         work: &W,
         units: u64,
         share: Share,
+        options: &Options,
         progress: &Progress<'_>,
     ) -> Result<bool, W::Error>
     where
@@ -138,7 +139,7 @@ impl RunFolder {
         let file = self.record_file(share);
         // A record that cannot be read is replaced: nothing depends on it.
         let earlier = Record::load(&file).ok().flatten();
-        let record = earlier.iter().fold(Record::begin(), Record::continuing).running(&file);
+        let record = earlier.iter().fold(Record::begin(options), Record::continuing).running(&file);
         record.write().map_err(CampaignError::file(&file))?;
         let outcome = self.advance(&part, share, progress);
         let ending = match &outcome {

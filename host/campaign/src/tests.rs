@@ -4,7 +4,7 @@ use std::fs;
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use super::record::Ending;
+use super::record::{Ending, Options};
 use super::shards::RunFolder;
 use super::*;
 
@@ -65,7 +65,7 @@ impl Work for Waves {
     }
 
     fn stage(&self) -> (Stage, f64) {
-        (Stage::Robust, 1.0)
+        (Stage("waves"), 1.0)
     }
 
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<f64>, WavesError> {
@@ -89,7 +89,7 @@ fn whole(units: u64) -> CampaignOf<Waves> {
 }
 
 fn shard(folder: &RunFolder, text: &str, units: u64) -> Result<bool, WavesError> {
-    folder.run(&waves(1), units, text.parse().unwrap(), &Progress::silent())
+    folder.run(&waves(1), units, text.parse().unwrap(), &Options::default(), &Progress::silent())
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn a_shard_that_was_stopped_continues_and_two_tasks_with_one_shard_do_no_harm() 
     let stop = AtomicBool::new(false);
     let observer = |event: &progress::Event<'_>| stop.store(event.done >= 10, Ordering::Relaxed);
     let share = "0/2".parse().unwrap();
-    assert!(!run.run(&waves(1), 1000, share, &Progress::new(&observer, &stop)).unwrap());
+    assert!(!run.run(&waves(1), 1000, share, &Options::default(), &Progress::new(&observer, &stop)).unwrap());
     let refused = run.merged(&waves(1), 1000).unwrap_err().to_string();
     assert!(refused.contains("shards 0, 1 of 2 are not complete"), "{refused}");
     std::thread::scope(|scope| {
@@ -223,7 +223,7 @@ fn a_folder_belongs_to_one_run() {
     let refused = |error: WavesError| error.to_string();
     assert!(refused(shard(&run, "0/4", 20).unwrap_err()).contains("`shards` is 5 there and 4 here"));
     assert!(refused(shard(&run, "1/5", 21).unwrap_err()).contains("`units` is 20 there and 21 here"));
-    let other = run.run(&waves(2), 20, Share::new(1, 5).unwrap(), &Progress::silent());
+    let other = run.run(&waves(2), 20, Share::new(1, 5).unwrap(), &Options::default(), &Progress::silent());
     assert!(refused(other.unwrap_err()).contains("`question` is 1 there and 2 here"));
     assert!(run.merged(&waves(2), 20).unwrap_err().to_string().contains("`question`"));
 }
@@ -235,7 +235,8 @@ fn of_tasks_with_different_questions_that_begin_together_one_gets_the_folder() {
         let (run, together) = (RunFolder::new(folder.path()), Barrier::new(4));
         let task = |seed: u64| {
             together.wait();
-            run.run(&waves(seed), 4, Share::new(seed, 4).unwrap(), &Progress::silent()).is_ok()
+            run.run(&waves(seed), 4, Share::new(seed, 4).unwrap(), &Options::default(), &Progress::silent())
+                .is_ok()
         };
         let successes = std::thread::scope(|scope| {
             let tasks: Vec<_> = (0..4).map(|seed| scope.spawn(move || task(seed))).collect();
@@ -277,7 +278,7 @@ fn a_folder_tells_how_far_each_shard_is_and_what_ended_it() {
     assert_eq!(run.states().unwrap(), []);
     shard(&run, "0/3", 10).unwrap();
     let broken = Waves { fails: Some(1), ..waves(1) };
-    run.run(&broken, 10, Share::new(1, 3).unwrap(), &Progress::silent()).unwrap_err();
+    run.run(&broken, 10, Share::new(1, 3).unwrap(), &Options::default(), &Progress::silent()).unwrap_err();
     let states = run.states().unwrap();
     let ending = |index: usize| states[index].record.as_ref().map(|record| record.ending.clone());
     assert!(states[0].complete && states[0].units == 4 && ending(0) == Some(Ending::Complete));

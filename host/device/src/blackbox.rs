@@ -11,6 +11,9 @@ use shared::recorder::{
 
 use super::{Device, DeviceError};
 
+/// Reading a flight recorder: entries.
+pub const READ_RECORDER: Stage = Stage("read flight recorder");
+
 /// Content of a flight recorder.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Blackbox {
@@ -187,7 +190,7 @@ impl Device {
     pub fn blackbox(&mut self, progress: &Progress<'_>) -> Result<Blackbox, DeviceError> {
         let period_us = self.identify()?.period_us;
         let mut reading = Reading::new(self.recorder()?);
-        let task = progress.task(Stage::ReadRecorder, reading.left());
+        let task = progress.task(READ_RECORDER, reading.left());
         while let Some(request) = reading.request() {
             if task.stopped() {
                 return Err(DeviceError::Stopped);

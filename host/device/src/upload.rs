@@ -9,6 +9,9 @@ use thiserror::Error;
 
 use super::{Device, DeviceError};
 
+/// Sending weights: bytes.
+pub const UPLOAD: Stage = Stage("send weights, bytes");
+
 /// Why an upload failed.
 #[derive(Debug, Error)]
 pub enum UploadError {
@@ -39,7 +42,7 @@ impl Device {
         let id = decode(image)?.id;
         let image = &image[..IMAGE_BYTES];
         let mut offset = self.progress_of(&Request::BeginWeights { length: IMAGE_BYTES as u32, id })?;
-        let task = progress.task(Stage::Upload, image.len());
+        let task = progress.task(UPLOAD, image.len());
         while offset < image.len() {
             task.reach(offset);
             if task.stopped() {

@@ -8,14 +8,14 @@ use thiserror::Error;
 
 use crate::pipeline::{PAPER_PEEP, PAPER_PERIOD_US};
 use crate::simulator::episode::{Episode, channels, split, ventilators, whole_breaths};
-use crate::simulator::fit::{Fit, FitConfig};
+use crate::simulator::fit::{FIT, Fit, FitConfig};
 use crate::simulator::hybrid::HybridConfig;
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
 use data::identity::LungParameters;
 use data::recording::Recording;
-use progress::{Progress, Stage};
+use progress::Progress;
 use ventilator::seeds;
 
 /// Breaths per gradient step of the state-space model: on 160 breaths of the default lung, 16 instead of 64 reduce the
@@ -273,7 +273,7 @@ impl Recipe {
         let lessons = lessons(&architecture, recording, training);
         let config = self.config(&architecture, lessons.len());
         let mut fit = Fit::new(architecture, &lessons.iter().collect::<Vec<_>>(), config, None);
-        let task = progress.task(Stage::Fit, config.epochs);
+        let task = progress.task(FIT, config.epochs);
         let mut curve = Vec::with_capacity(config.epochs);
         while !task.stopped() {
             let Some(loss) = fit.epoch() else { break };

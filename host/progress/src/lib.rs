@@ -7,52 +7,10 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// A kind of work, with the unit of its steps.
+/// A stage of some work, by its label on the screen: what is done, with the unit of its steps where the words do not say it. The work
+/// has it as a constant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Stage {
-    /// Searching gains of a PID: simulated breaths.
-    TunePid,
-    /// Searching parameters of a rival: runs of a plant.
-    TuneRival,
-    /// Recording: complete breaths.
-    Collect,
-    /// Recording units of a family and fitting their simulators: units.
-    Units,
-    /// Fitting simulators: epochs.
-    Fit,
-    /// Training a controller: gradient steps.
-    Train,
-    /// Reinforcement learning: rounds.
-    Reinforce,
-    /// Scoring controllers: waveforms.
-    Evaluate,
-    /// Searching the reference bound: stages of the search.
-    Bound,
-    /// Injecting faults: cells of the matrix.
-    Faults,
-    /// Hostile controllers: breaths.
-    Torture,
-    /// Random patients: minutes of their stays.
-    Endure,
-    /// Plants of a family, of a robustness test.
-    Robust,
-    /// A sweep over options: runs.
-    Sweep,
-    /// The paper's experiments, divided among tasks: pieces.
-    Pieces,
-    /// Tasks of an engine: shards.
-    Shards,
-    /// Measuring stability margins: operating points.
-    Margins,
-    /// Measuring the accuracy of the pressure: plants.
-    Accuracy,
-    /// Sending weights: bytes.
-    Upload,
-    /// Reading a flight recorder: entries.
-    ReadRecorder,
-    /// Importing tables: bytes.
-    Import,
-}
+pub struct Stage(pub &'static str);
 
 /// Progress of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,6 +25,15 @@ pub struct Event<'a> {
     pub done: usize,
     /// Total number of steps as far as known; it may grow.
     pub total: usize,
+}
+
+impl Event<'_> {
+    /// The label of the stage, with subject and round.
+    pub fn label(&self) -> String {
+        let subject = if self.subject.is_empty() { String::new() } else { format!("{}: ", self.subject) };
+        let round = self.round.map_or_else(String::new, |round| format!("round {}: ", round + 1));
+        format!("{subject}{round}{}", self.stage.0)
+    }
 }
 
 /// Receives progress and carries the request to stop.
@@ -191,6 +158,11 @@ mod tests {
     use super::*;
     use std::sync::Mutex;
 
+    const COLLECT: Stage = Stage("collect breaths");
+    const FIT: Stage = Stage("fit simulators");
+    const TRAIN: Stage = Stage("train controller");
+    const EVALUATE: Stage = Stage("score waveforms");
+
     /// Subject, round, stage, done and total of every event of some work.
     type Seen = Vec<(String, Option<usize>, Stage, usize, usize)>;
 
@@ -204,30 +176,38 @@ mod tests {
     }
 
     #[test]
+    fn a_label_names_subject_round_and_stage() {
+        let alone = Event { subject: "", round: None, stage: COLLECT, done: 0, total: 1 };
+        assert_eq!(alone.label(), "collect breaths");
+        let event = Event { subject: "lungs/R5C10-0", round: Some(1), stage: FIT, ..alone };
+        assert_eq!(event.label(), "lungs/R5C10-0: round 2: fit simulators");
+    }
+
+    #[test]
     fn events_tell_what_is_under_way_and_how_far_it_is() {
         let events = seen(|progress| {
-            let task = progress.of("R20C20").round(1).task(Stage::Fit, 3);
+            let task = progress.of("R20C20").round(1).task(FIT, 3);
             task.advance(2);
             task.reach(1);
             task.expect(5);
             task.reach(5);
         });
-        let at = |done, total| ("R20C20".to_owned(), Some(1), Stage::Fit, done, total);
+        let at = |done, total| ("R20C20".to_owned(), Some(1), FIT, done, total);
         assert_eq!(events, [at(0, 3), at(2, 3), at(2, 3), at(5, 5)]);
     }
 
     #[test]
     fn steps_of_parts_count_in_the_whole_and_only_there() {
         let events = seen(|progress| {
-            let whole = progress.task(Stage::Evaluate, 4);
+            let whole = progress.task(EVALUATE, 4);
             std::thread::scope(|scope| {
                 for _ in 0..2 {
-                    scope.spawn(|| whole.part().task(Stage::Collect, 100).advance(2));
+                    scope.spawn(|| whole.part().task(COLLECT, 100).advance(2));
                 }
             });
             whole.finish();
         });
-        assert!(events.iter().all(|event| event.2 == Stage::Evaluate && event.4 == 4), "{events:?}");
+        assert!(events.iter().all(|event| event.2 == EVALUATE && event.4 == 4), "{events:?}");
         assert_eq!(events.len(), 4);
         assert_eq!(events[3].3, 4);
     }
@@ -236,7 +216,7 @@ mod tests {
     fn a_request_to_stop_reaches_every_part() {
         let stop = AtomicBool::new(false);
         let progress = Progress::quiet(&stop);
-        let task = progress.task(Stage::Train, 1);
+        let task = progress.task(TRAIN, 1);
         assert!(!task.part().stopped());
         stop.store(true, Ordering::Relaxed);
         assert!(task.part().stopped() && task.stopped() && !Progress::silent().stopped());

@@ -1,6 +1,6 @@
-//! The `trainer` binary; all code is in `host::cli`.
+//! The `trainer` binary; all code is in the library.
 #![forbid(unsafe_code)]
 
 fn main() -> std::process::ExitCode {
-    host::cli::run()
+    host::command::main::<host::cli::Cli>()
 }

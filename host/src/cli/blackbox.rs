@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use shared::link::messages::DeviceIdentity;
 
-use super::bars::with_bars;
-use super::output::{OutputArgs, write, write_json};
+use crate::command::{Command, Context, Output, OutputArgs, write, write_json};
 use device::Device;
 use device::blackbox::Blackbox;
 use device::port::Address;
@@ -48,12 +47,15 @@ pub struct Args {
 }
 
 /// The content of `--json`.
-#[derive(Debug, Serialize)]
-struct Found<'a> {
+#[derive(Serialize)]
+pub struct Found {
     port: String,
-    identity: &'a DeviceIdentity,
+    identity: DeviceIdentity,
     #[serde(flatten)]
-    blackbox: &'a Blackbox,
+    blackbox: Blackbox,
+    /// The connection, for what is to follow.
+    #[serde(skip)]
+    device: Device,
 }
 
 /// Checks that the file name ends in .csv or .json.
@@ -69,28 +71,39 @@ fn kind(path: &Path) -> Option<&str> {
     path.extension().and_then(|extension| extension.to_str())
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let mut device = Device::connect(&args.port)?;
-    let identity = device.identify()?;
-    let blackbox = with_bars(|progress| device.blackbox(progress))?;
-    let port = args.port.to_string();
-    let name = format!("{port}: {}", words::identity(&identity));
-    args.output.table(&summary(&blackbox, &name));
-    args.output.table(&events(&blackbox, args.events));
-    let found = Found { port, identity: &identity, blackbox: &blackbox };
-    if let Some(path) = &args.out {
-        match kind(path) {
-            Some("csv") => write(path, csv(&blackbox).as_bytes())?,
-            _ => write_json(path, &found)?,
+impl Command for Args {
+    type Outcome = Found;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Found>> {
+        let mut device = Device::connect(&self.port)?;
+        let identity = device.identify()?;
+        let blackbox = context.progress(|progress| device.blackbox(progress))?;
+        let port = self.port.to_string();
+        let name = format!("{port}: {}", words::identity(&identity));
+        context.table(&summary(&blackbox, &name));
+        context.table(&events(&blackbox, self.events));
+        let found = Found { port, identity, blackbox, device };
+        if let Some(path) = &self.out {
+            match kind(path) {
+                Some("csv") => write(path, csv(&found.blackbox).as_bytes())?,
+                _ => write_json(path, &found)?,
+            }
+            context.saved(path);
         }
-        args.output.saved(path);
+        context.report(self.html.as_ref(), || Ok(report(&found.blackbox, &name)))?;
+        Ok(Some(found))
     }
-    args.output.report(args.html.as_ref(), || Ok(report(&blackbox, &name)))?;
-    args.output.finish(&found)?;
-    // Clear only what was written successfully.
-    if args.clear {
-        device.clear_recorder()?;
-        args.output.line("the recorded ticks are cleared; the event log stays");
+
+    /// Clears only what was written successfully.
+    fn conclude(&self, mut outcome: Found, context: &Context<'_>) -> anyhow::Result<()> {
+        if self.clear {
+            outcome.device.clear_recorder()?;
+            context.line("the recorded ticks are cleared; the event log stays");
+        }
+        Ok(())
     }
-    Ok(())
 }

@@ -6,10 +6,9 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 
-use super::bars::with_bars;
-use super::common::{benches, stopped};
-use super::output::OutputArgs;
-use super::settings_args::SettingsArgs;
+use crate::args::bench::benches;
+use crate::args::settings::SettingsArgs;
+use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use plant::bench::BenchConfig;
 use score::bound::{Bound, BoundConfig, bounds, triggering};
 use score::breathing::STRENGTHS;
@@ -67,40 +66,48 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary<'a> {
-    search: &'a BoundConfig,
+pub struct Summary {
+    search: BoundConfig,
     period_us: u32,
-    lungs: &'a [Bound],
+    lungs: Vec<Bound>,
     complete: bool,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let search = BoundConfig {
-        seed: args.seed,
-        effort: args.effort,
-        trigger_delay_ms: args.trigger_delay_ms,
-        trace: args.trace,
-    };
-    let plan = Plan {
-        period_us: args.period_us,
-        pips: args.pips.clone(),
-        settings: args.settings.checked(&args.pips)?,
-        ..Plan::default()
-    };
-    let mut benches = benches(&args.lung, &args.bench)?;
-    if args.breathing {
-        benches = breathing(&benches, &plan)?;
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Experiment)
     }
-    let lungs = with_bars(|progress| bounds(&benches, &plan, &search, progress))?;
-    if lungs.iter().all(|lung| lung.waveforms.is_empty()) {
-        bail!("stopped before the first waveform was complete");
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let search = BoundConfig {
+            seed: self.seed,
+            effort: self.effort,
+            trigger_delay_ms: self.trigger_delay_ms,
+            trace: self.trace,
+        };
+        let plan = Plan {
+            period_us: self.period_us,
+            pips: self.pips.clone(),
+            settings: self.settings.checked(&self.pips)?,
+            ..Plan::default()
+        };
+        let mut benches = benches(&self.lung, &self.bench)?;
+        if self.breathing {
+            benches = breathing(&benches, &plan)?;
+        }
+        let lungs = context.progress(|progress| bounds(&benches, &plan, &search, progress))?;
+        if lungs.iter().all(|lung| lung.waveforms.is_empty()) {
+            bail!("stopped before the first waveform was complete");
+        }
+        context.table(&table(&self.pips, &lungs));
+        if context.stopped() {
+            context.line("stopped: only the completed waveforms are shown");
+        }
+        let complete = lungs.iter().all(|lung| lung.complete);
+        Ok(Some(Summary { search, period_us: self.period_us, lungs, complete }))
     }
-    args.output.table(&table(&args.pips, &lungs));
-    if stopped() {
-        args.output.line("stopped: only the completed waveforms are shown");
-    }
-    let complete = lungs.iter().all(|lung| lung.complete);
-    args.output.finish(&Summary { search: &search, period_us: args.period_us, lungs: &lungs, complete })
 }
 
 /// Each bench, followed by its patients who trigger every breath.

@@ -2,17 +2,15 @@
 
 use std::path::PathBuf;
 
-use anyhow::bail;
+use anyhow::{anyhow, bail};
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::explore::{Exploration, Range};
 
-use super::bars::with_bars;
-use super::common::stopped;
-use super::controller_args::{Chosen, ControllerArgs};
-use super::output::OutputArgs;
-use super::settings_args::SettingsArgs;
-use super::source_args::SourceArgs;
+use crate::args::controller::{Chosen, ControllerArgs};
+use crate::args::settings::SettingsArgs;
+use crate::args::source::SourceArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
 use data::recording;
 use show::report::{Cell, Table};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
@@ -105,7 +103,7 @@ impl ExplorationArgs {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     seed: u64,
     plant: String,
     controller: String,
@@ -117,46 +115,59 @@ struct Summary {
     pressure: (f32, f32),
     explored: f64,
     complete: bool,
+    /// Why there are not more breaths.
+    #[serde(skip)]
+    failure: Option<anyhow::Error>,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let plant = args.source.plant.connect()?;
-    let chosen = args.controller.chosen(plant.as_ref())?;
-    let controller = chosen.chip()?;
-    let config = config(args)?;
-    let mut source = args.source.open(plant, &chosen, &config.settings, config.seed)?;
-    let recorded = with_bars(|progress| collect(source.as_mut(), controller, &config, progress));
-    let (mut collected, failure) = match recorded {
-        Ok(collected) => (collected, None),
-        Err(CollectError::Interrupted { reason, collected }) => (*collected, Some(reason)),
-        Err(error) => return Err(error.into()),
-    };
-    if collected.breaths == 0 && stopped() {
-        bail!("stopped before the first breath was complete; nothing was saved");
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
     }
-    let provenance = &mut collected.recording.provenance;
-    provenance.seed = args.seed;
-    provenance.weights_id = chosen.weights_id.clone().unwrap_or_default();
-    collected.recording.save(&args.out)?;
-    let summary = summary(args, &chosen, &config, &collected);
-    args.output.table(&table(&summary));
-    args.output.saved(&args.out);
-    args.output.finish(&summary)?;
-    if let Some(reason) = failure {
-        let (breaths, plant, file) = (summary.breaths, &summary.plant, args.out.display());
-        return Err(anyhow::Error::new(reason).context(format!(
-            "cannot collect more breaths from {plant}: {breaths} complete breaths are saved in {file}"
-        )));
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let plant = self.source.plant.connect()?;
+        let chosen = self.controller.chosen(plant.as_ref())?;
+        let controller = chosen.chip()?;
+        let config = config(self)?;
+        let mut source = self.source.open(plant, &chosen, &config.settings, config.seed)?;
+        let recorded = context.progress(|progress| collect(source.as_mut(), controller, &config, progress));
+        let (mut collected, failure) = match recorded {
+            Ok(collected) => (collected, None),
+            Err(CollectError::Interrupted { reason, collected }) => (*collected, Some(reason)),
+            Err(error) => return Err(error.into()),
+        };
+        if collected.breaths == 0 && context.stopped() {
+            bail!("stopped before the first breath was complete; nothing was saved");
+        }
+        let provenance = &mut collected.recording.provenance;
+        provenance.seed = self.seed;
+        provenance.weights_id = chosen.weights_id.clone().unwrap_or_default();
+        collected.recording.save(&self.out)?;
+        let mut summary = summary(self, &chosen, &config, &collected);
+        context.table(&table(&summary));
+        context.saved(&self.out);
+        if let Some(reason) = failure {
+            let (breaths, plant, file) = (summary.breaths, &summary.plant, self.out.display());
+            summary.failure = Some(anyhow::Error::new(reason).context(format!(
+                "cannot collect more breaths from {plant}: {breaths} complete breaths are saved in {file}"
+            )));
+        } else if !summary.complete && !context.stopped() {
+            summary.failure = Some(anyhow!(
+                "gave up after {} breaths ended early; {} of {} breaths are saved: use lower gains, less exploration or a higher --aborts",
+                collected.aborts,
+                collected.breaths,
+                config.breaths
+            ));
+        }
+        Ok(Some(summary))
     }
-    if !summary.complete && !stopped() {
-        bail!(
-            "gave up after {} breaths ended early; {} of {} breaths are saved: use lower gains, less exploration or a higher --aborts",
-            collected.aborts,
-            collected.breaths,
-            config.breaths
-        );
+
+    fn conclude(&self, outcome: Summary, _context: &Context<'_>) -> anyhow::Result<()> {
+        outcome.failure.map_or(Ok(()), Err)
     }
-    Ok(())
 }
 
 fn config(args: &Args) -> anyhow::Result<CollectConfig> {
@@ -185,6 +196,7 @@ fn summary(args: &Args, chosen: &Chosen, config: &CollectConfig, collected: &Col
         pressure: recording::range(&recording.pressure).unwrap_or((0.0, 0.0)),
         explored: recording.explored(),
         complete: *breaths == config.breaths,
+        failure: None,
     }
 }
 

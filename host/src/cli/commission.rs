@@ -9,12 +9,12 @@ use shared::control::Controller;
 use shared::control::pid::PidGains;
 use shared::control::residual::Residual;
 
-use super::bars::with_bars;
-use super::common::gains;
-use super::controller_args::{self, Chosen, format_gains};
-use super::settings_args::SettingsArgs;
-use super::source_args::SourceArgs;
 use super::train::{CONTROLLER, ResultArgs};
+use crate::args::controller::{Chosen, learned as learned_controller};
+use crate::args::gains::{format_gains, gains};
+use crate::args::settings::SettingsArgs;
+use crate::args::source::SourceArgs;
+use crate::command::{Command, Context, Makes, Output};
 use data::recording::Recording;
 use learn::controller::CurvePoint;
 use learn::pipeline::Folder;
@@ -75,7 +75,7 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     seed: u64,
     plant: String,
     start: String,
@@ -118,6 +118,7 @@ const REPORT: &str = "report.html";
 /// A commissioning.
 struct Job<'a> {
     args: &'a Args,
+    context: &'a Context<'a>,
     run: CommissionRun,
     folder: Folder,
     start: Chosen,
@@ -128,36 +129,44 @@ struct Job<'a> {
     bench: Option<BenchConfig>,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let job = Job::new(args)?;
-    let recording = job.recording()?;
-    job.stage(2, "check: fits a physical simulator and compares it with breaths left out of the fit");
-    let checked = with_bars(|progress| job.run.check(&recording, progress))?;
-    let tables = [figures_table(&checked.figures), unit_table(&checked.figures)];
-    for table in &tables {
-        args.result.output.table(table);
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.result.output.makes(Makes::Folder(&self.result.out))
     }
-    args.result.output.line(SCALE);
-    if let Some(problem) = checked.figures.problem() {
-        bail!("{problem}");
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let job = Job::new(self, context)?;
+        let recording = job.recording()?;
+        job.stage(2, "check: fits a physical simulator and compares it with breaths left out of the fit");
+        let checked = context.progress(|progress| job.run.check(&recording, progress))?;
+        let tables = [figures_table(&checked.figures), unit_table(&checked.figures)];
+        for table in &tables {
+            context.table(table);
+        }
+        context.line(SCALE);
+        if let Some(problem) = checked.figures.problem() {
+            bail!("{problem}");
+        }
+        job.stage(3, &format!("fine-tune: trains {} further on units around this simulator", job.start.name));
+        let commissioned = context.progress(|progress| {
+            job.run.tune(&job.residual, &[&checked.simulator], Some(&job.folder), progress)
+        })?;
+        if !commissioned.complete {
+            context.line("Stopped. Run the same command again to continue.");
+            return Ok(None);
+        }
+        context.line(verdict(commissioned.winner));
+        job.stage(4, "compare: scores the PID, the starting and the commissioned controller");
+        let on_bench = job.on_bench(&commissioned)?;
+        Ok(Some(job.finish(&recording, &checked.figures, tables, commissioned, on_bench)?))
     }
-    job.stage(3, &format!("fine-tune: trains {} further on units around this simulator", job.start.name));
-    let commissioned = with_bars(|progress| {
-        job.run.tune(&job.residual, &[&checked.simulator], Some(&job.folder), progress)
-    })?;
-    if !commissioned.complete {
-        args.result.output.line("Stopped. Run the same command again to continue.");
-        return Ok(());
-    }
-    args.result.output.line(verdict(commissioned.winner));
-    job.stage(4, "compare: scores the PID, the starting and the commissioned controller");
-    let on_bench = job.on_bench(&commissioned)?;
-    job.finish(&recording, &checked.figures, tables, commissioned, on_bench)
 }
 
 impl<'a> Job<'a> {
-    fn new(args: &'a Args) -> anyhow::Result<Self> {
-        let start = controller_args::learned(&args.controller)?;
+    fn new(args: &'a Args, context: &'a Context<'a>) -> anyhow::Result<Self> {
+        let start = learned_controller(&args.controller)?;
         let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
         let residual = residual.clone();
         let mut run = CommissionRun {
@@ -175,12 +184,12 @@ impl<'a> Job<'a> {
             (None, None, plant) => plant.iter().map(ToString::to_string).collect(),
         };
         let folder = Folder::new(&args.result.out);
-        Ok(Self { args, run, folder, start, residual, unit, bench })
+        Ok(Self { args, context, run, folder, start, residual, unit, bench })
     }
 
     /// Announces a stage.
     fn stage(&self, number: usize, text: &str) {
-        self.args.result.output.line(&format!("[{number}/5] {text}"));
+        self.context.line(&format!("[{number}/5] {text}"));
     }
 
     /// Records the unit, or loads the recording of an earlier call.
@@ -209,7 +218,7 @@ impl<'a> Job<'a> {
                 settings.pressure_limit,
             ),
         );
-        Ok(with_bars(|progress| run.record(source.as_mut(), folder, progress))?)
+        Ok(self.context.progress(|progress| run.record(source.as_mut(), folder, progress))?)
     }
 
     /// Claims the folder for this commissioning.
@@ -232,7 +241,11 @@ impl<'a> Job<'a> {
                 ..Plan::evaluation(self.run.seed)
             };
             let score = |controller| -> anyhow::Result<f64> {
-                Ok(with_bars(|progress| evaluate_law(bench, controller, &plan, progress))?.mean.score)
+                Ok(self
+                    .context
+                    .progress(|progress| evaluate_law(bench, controller, &plan, progress))?
+                    .mean
+                    .score)
             };
             let (pid, start) = (score(pid.chip()?)?, score(self.start.chip()?)?);
             Ok(OnBench { breaths_of_learning, scores: Scores { pid, start, commissioned: score(&learned)? } })
@@ -248,15 +261,16 @@ impl<'a> Job<'a> {
         tables: [Table; 2],
         commissioned: Commissioned,
         bench: Vec<OnBench>,
-    ) -> anyhow::Result<()> {
-        let ResultArgs { output, out, .. } = &self.args.result;
+    ) -> anyhow::Result<Summary> {
+        let Self { context, .. } = self;
+        let ResultArgs { out, .. } = &self.args.result;
         let Commissioned { learned, winner, start, curve, .. } = commissioned;
         let simulator = Scores { pid: learned.origin.base, start, commissioned: learned.origin.validation };
         let comparison = comparison_table(simulator, &bench);
-        output.table(&comparison);
+        context.table(&comparison);
         let worse = bench.iter().any(|on| on.scores.commissioned > (1.0 + WORSE_BY) * on.scores.start);
         if worse {
-            output.line(WORSE);
+            context.line(WORSE);
         }
         self.stage(5, "pack");
         let report = Report {
@@ -267,15 +281,15 @@ impl<'a> Job<'a> {
         };
         let controller = out.join(CONTROLLER);
         learned.save(&controller)?;
-        output.saved(&controller);
-        let (weights, weights_id) = self.args.result.packed(&learned)?;
-        output.report(Some(&out.join(REPORT)), || Ok(report))?;
+        context.saved(&controller);
+        let (weights, weights_id) = self.args.result.packed(&learned, context)?;
+        context.report(Some(&out.join(REPORT)), || Ok(report))?;
         let port =
             self.args.source.port.port.as_ref().map_or_else(|| "/dev/ttyACM0".into(), ToString::to_string);
         if !worse {
-            output.line(&format!("Flash it with: trainer flash {} --port {port}", weights.display()));
+            context.line(&format!("Flash it with: trainer flash {} --port {port}", weights.display()));
         }
-        output.finish(&Summary {
+        Ok(Summary {
             seed: self.run.seed,
             plant: recording.provenance.plant.clone(),
             start: self.start.name.clone(),

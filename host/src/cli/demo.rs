@@ -6,15 +6,14 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use shared::breath::DEFAULT_PERIOD_US;
 
-use super::bars::with_bars;
-use super::common::BenchArgs;
-use super::output::OutputArgs;
 #[cfg(unix)]
 use super::qemu::ImageArgs;
+use crate::args::bench::BenchArgs;
+use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use learn::controller::TrainConfig;
 use learn::pipeline::PipelineConfig;
 use score::baselines::Search;
-use study::demo::{DemoConfig, Venue, run as run_demo};
+use study::demo::{DemoConfig, DemoSummary, Venue, run as run_demo};
 
 /// Run the whole pipeline on one lung and write a report: tune, record, fit, train, compare
 #[derive(Debug, clap::Args)]
@@ -70,44 +69,57 @@ enum Board {
     Qemu,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let mut pipeline = PipelineConfig::for_period(args.period_us);
-    (pipeline.seed, pipeline.rounds) = (args.seed, args.rounds);
-    if args.breathing {
-        pipeline.train = TrainConfig::breathing();
-    }
-    let config =
-        DemoConfig { bench: args.bench.one()?, search: Search::default(), pipeline, venue: args.venue()? };
-    let demo = with_bars(|progress| run_demo(&config, &args.out, progress))?;
+impl Command for Args {
+    type Outcome = DemoSummary;
 
-    let summary = &demo.summary;
-    args.output.table(&summary.table());
-    let gains = summary.pid_gains;
-    args.output.line(&format!(
-        "best PID: P {:.3}, I {:.1}, D {:.4}; mean error {:.3} cmH2O, P only {:.3}, I only {:.3}\n\
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Folder(&self.out))
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<DemoSummary>> {
+        let mut pipeline = PipelineConfig::for_period(self.period_us);
+        (pipeline.seed, pipeline.rounds) = (self.seed, self.rounds);
+        if self.breathing {
+            pipeline.train = TrainConfig::breathing();
+        }
+        let config = DemoConfig {
+            bench: self.bench.one()?,
+            search: Search::default(),
+            pipeline,
+            venue: self.venue()?,
+        };
+        let demo = context.progress(|progress| run_demo(&config, &self.out, progress))?;
+
+        let summary = &demo.summary;
+        context.table(&summary.table());
+        let gains = summary.pid_gains;
+        context.line(&format!(
+            "best PID: P {:.3}, I {:.1}, D {:.4}; mean error {:.3} cmH2O, P only {:.3}, I only {:.3}\n\
          learned:  mean error {:.3} cmH2O, {:.0} % of the best PID's; {:.3} on its learned simulator\n\
          simulator: open-loop distance {:.3} cmH2O on held-out breaths\n\
          report: {}",
-        gains.p,
-        gains.i,
-        gains.d,
-        summary.mean.pid,
-        summary.mean.p_only,
-        summary.mean.i_only,
-        summary.mean.learned,
-        100.0 * summary.ratio(),
-        summary.mean.learned_on_simulator,
-        summary.open_loop_distance,
-        args.out.join("report.html").display()
-    ));
-    if !summary.improved {
-        args.output
-            .line("The residual did not beat its PID on the held-out simulator, so the PID alone was kept.");
+            gains.p,
+            gains.i,
+            gains.d,
+            summary.mean.pid,
+            summary.mean.p_only,
+            summary.mean.i_only,
+            summary.mean.learned,
+            100.0 * summary.ratio(),
+            summary.mean.learned_on_simulator,
+            summary.open_loop_distance,
+            self.out.join("report.html").display()
+        ));
+        if !summary.improved {
+            context.line(
+                "The residual did not beat its PID on the held-out simulator, so the PID alone was kept.",
+            );
+        }
+        if !demo.outcome.complete {
+            context.line("Stopped early: this is the controller so far. Run the command again to continue.");
+        }
+        Ok(Some(demo.summary))
     }
-    if !demo.outcome.complete {
-        args.output.line("Stopped early: this is the controller so far. Run the command again to continue.");
-    }
-    args.output.finish(summary)
 }
 
 impl Args {

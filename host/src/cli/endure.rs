@@ -4,17 +4,16 @@ mod diary;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context as _, bail};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::safety::alarms::Priority;
 use shared::weights::decode;
 
 use self::diary::{Diary, describe};
-use super::common::stopped;
-use super::controller_args::{image_id, image_of};
-use super::output::OutputArgs;
-use super::shard_args::ShardFolderArgs;
+use crate::args::controller::{image_id, image_of};
+use crate::args::shards::ShardFolderArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
 use show::report::{Cell, Table};
 use trials::endure::course;
 use trials::endure::patient::Patient;
@@ -73,25 +72,34 @@ fn hours(text: &str) -> Result<f64, String> {
     }
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let (controller, name) = match &args.controller {
-        Some(file) => learned(file)?,
-        None => sound_controller()?,
-    };
-    let summary = match args.patient {
-        Some(number) => Some(alone(args, number, &controller)?),
-        None => together(args, &controller, &name)?,
-    };
-    let Some(summary) = summary else { return Ok(()) };
-    args.output.finish(&summary)?;
-    if !summary.passes() {
-        let Summary { interruptions, high_alarms_undeserved, alarms_missed, .. } = summary;
-        bail!(
-            "{interruptions} interruptions, {high_alarms_undeserved} undeserved high-priority alarms, \
-             {alarms_missed} missed alarms"
-        );
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(self.shards.makes())
     }
-    Ok(())
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let (controller, name) = match &self.controller {
+            Some(file) => learned(file)?,
+            None => sound_controller()?,
+        };
+        match self.patient {
+            Some(number) => alone(self, number, &controller, context).map(Some),
+            None => together(self, &controller, &name, context),
+        }
+    }
+
+    fn conclude(&self, outcome: Summary, _context: &Context<'_>) -> anyhow::Result<()> {
+        if !outcome.passes() {
+            let Summary { interruptions, high_alarms_undeserved, alarms_missed, .. } = outcome;
+            bail!(
+                "{interruptions} interruptions, {high_alarms_undeserved} undeserved high-priority alarms, \
+                 {alarms_missed} missed alarms"
+            );
+        }
+        Ok(())
+    }
 }
 
 fn learned(file: &Path) -> anyhow::Result<(Controller, String)> {
@@ -108,36 +116,46 @@ fn learned(file: &Path) -> anyhow::Result<(Controller, String)> {
 }
 
 /// Runs all patients or a shard of them, or merges shards; none after a shard.
-fn together(args: &Args, controller: &Controller, name: &str) -> anyhow::Result<Option<Summary>> {
+fn together(
+    args: &Args,
+    controller: &Controller,
+    name: &str,
+    context: &Context<'_>,
+) -> anyhow::Result<Option<Summary>> {
     let question = Question { seed: args.seed, hours: args.hours, controller: name.to_owned() };
     let test = Endurance { question, controller };
-    let Some(found) = args.shards.run(&test, args.patients, args.keep.as_deref(), &args.output)? else {
+    let Some(found) = args.shards.run(&test, args.patients, args.keep.as_deref(), context)? else {
         return Ok(None);
     };
     let summary = found.sums().summary(args.patients);
-    args.output.table(&alarms(&summary));
+    context.table(&alarms(&summary));
     if !summary.worst.is_empty() {
-        args.output.table(&worst(&summary.worst));
+        context.table(&worst(&summary.worst));
     }
     for line in totals(&summary) {
-        args.output.line(&line);
+        context.line(&line);
     }
-    if stopped() {
-        args.output.line("stopped; if started with --keep, the same command continues from here");
+    if context.stopped() {
+        context.line("stopped; if started with --keep, the same command continues from here");
     }
     Ok(Some(summary))
 }
 
 /// Runs one patient and prints what happens.
-fn alone(args: &Args, number: u64, controller: &Controller) -> anyhow::Result<Summary> {
+fn alone(
+    args: &Args,
+    number: u64,
+    controller: &Controller,
+    context: &Context<'_>,
+) -> anyhow::Result<Summary> {
     let patient = Patient::draw(args.seed, number, args.hours);
-    describe(&patient, &args.output);
-    let Some(result) = course::run(&patient, controller, args.hours, &mut Diary(&args.output))? else {
+    describe(&patient, context);
+    let Some(result) = course::run(&patient, controller, args.hours, &mut Diary(context))? else {
         bail!("stopped before the end of the stay");
     };
     let summary = Summary::of(&[result]);
     for line in totals(&summary) {
-        args.output.line(&line);
+        context.line(&line);
     }
     Ok(summary)
 }

@@ -7,16 +7,15 @@ use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
 
-use super::bars::with_bars;
 use super::breathing::{Summary as BreathingSummary, table as breathing_table};
-use super::common::{self, stopped};
 use super::comparison::table;
-use super::controller_args::{Chosen, ControllerArgs, format_gains};
-use super::output::OutputArgs;
-use super::policy_args::{self, PolicyArgs};
-use super::port_args;
-use super::settings_args::SettingsArgs;
-use super::source_args::SourceArgs;
+use crate::args::controller::{Chosen, ControllerArgs};
+use crate::args::gains::{format_gains, gains};
+use crate::args::policy::{PolicyArgs, account, check, print as print_account};
+use crate::args::port::source as device_source;
+use crate::args::settings::SettingsArgs;
+use crate::args::source::SourceArgs;
+use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use data::provenance::Provenance;
 use laws::policy::PolicyLaw;
 use laws::policy::account::Account;
@@ -66,7 +65,7 @@ pub struct Args {
     #[command(flatten)]
     policy: PolicyArgs,
     /// Gains P,I,D of the PID to compare a learned controller or a rival with [default: the PID underneath it]
-    #[arg(long, value_name = "P,I,D", value_parser = common::gains, conflicts_with = "gains")]
+    #[arg(long, value_name = "P,I,D", value_parser = gains, conflicts_with = "gains")]
     against: Option<PidGains>,
     #[command(flatten)]
     source: SourceArgs,
@@ -96,7 +95,15 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+#[serde(untagged)]
+pub enum Outcome {
+    Comparison(Summary),
+    Breathing(BreathingSummary),
+}
+
+/// A comparison.
+#[derive(Debug, Serialize)]
+pub struct Summary {
     seed: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     lung: Option<String>,
@@ -164,7 +171,7 @@ impl Setup {
         let ground: Box<dyn Ground<AnyLaw>> = match (&args.source.port.port, plant) {
             (Some(address), _) => {
                 chosen.chip()?;
-                let source = port_args::source(address, &chosen, plan.seeds[0])?;
+                let source = device_source(address, &chosen, plan.seeds[0])?;
                 Box::new(DeviceGround(SourceGround::new(source)))
             }
             (None, Some(link)) => {
@@ -205,75 +212,94 @@ fn one_after_the_other(
 }
 
 /// Prints how many scored inspirations the pressure limit has ended, if it has ended any.
-fn print_cuts(args: &Args, setup: &Setup, comparison: &Comparison) {
+fn print_cuts(setup: &Setup, comparison: &Comparison, context: &Context<'_>) {
     let pair = &comparison.mean;
     let controllers =
         [("PID", Some(pair.pid)), (setup.chosen.beside_pid().unwrap_or_default(), pair.learned)];
     for (name, score) in controllers {
         if let Some(score) = score.filter(|score| score.cut > 0.0) {
             let share = 100.0 * score.cut;
-            args.output.line(&format!("{name}: the pressure limit ended {share:.0} % of the inspirations"));
+            context.line(&format!("{name}: the pressure limit ended {share:.0} % of the inspirations"));
         }
     }
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    if args.breathing {
-        return run_breathing(args);
+impl Command for Args {
+    type Outcome = Outcome;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Experiment)
     }
-    let setup = Setup::new(args)?;
-    let Setup { ground, pid, plan, .. } = &setup;
-    let beside = setup.beside().map(|(_, law)| law);
-    let comparison = with_bars(|progress| compare(ground.as_ref(), pid, beside, plan, progress))?;
-    if comparison.waveforms.is_empty() {
-        bail!("stopped before the first waveform was complete");
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
+        if self.breathing {
+            return Ok(Some(Outcome::Breathing(run_breathing(self, context)?)));
+        }
+        let setup = Setup::new(self)?;
+        let Setup { ground, pid, plan, .. } = &setup;
+        let beside = setup.beside().map(|(_, law)| law);
+        let comparison =
+            context.progress(|progress| compare(ground.as_ref(), pid, beside, plan, progress))?;
+        if comparison.waveforms.is_empty() {
+            bail!("stopped before the first waveform was complete");
+        }
+        let title = format!(
+            "{} on {}: errors of the {}, cmH2O",
+            setup.chosen.name,
+            setup.ground.name(),
+            setup.pressure
+        );
+        context.table(&setup.table(&comparison, &title));
+        if context.stopped() {
+            context.line("stopped: only the completed waveforms are shown");
+        }
+        let policy = account(&setup.chosen.controller);
+        print_account(context, policy.as_ref());
+        print_cuts(&setup, &comparison, context);
+        context.report(self.report.as_ref(), || report(self, &setup, &comparison))?;
+        Ok(Some(Outcome::Comparison(Summary {
+            seed: self.seed,
+            lung: setup.bench.filter(|_| self.source.bench.bench.is_none()).map(|bench| bench.name),
+            plant: self.source.plant.plant.as_ref().map(ToString::to_string),
+            port: self.source.port.port.as_ref().map(ToString::to_string),
+            bench: self.source.bench.bench.clone(),
+            controller: setup.chosen.name.clone(),
+            weights_id: setup.chosen.weights_id.clone(),
+            gains: setup.pid.pid().gains(),
+            period_us: setup.plan.period_us,
+            breaths: setup.plan.breaths,
+            breaths_of_learning: self.breaths_of_learning,
+            policy,
+            comparison,
+        })))
     }
-    let title =
-        format!("{} on {}: errors of the {}, cmH2O", setup.chosen.name, setup.ground.name(), setup.pressure);
-    args.output.table(&setup.table(&comparison, &title));
-    if stopped() {
-        args.output.line("stopped: only the completed waveforms are shown");
+
+    fn conclude(&self, outcome: Outcome, _context: &Context<'_>) -> anyhow::Result<()> {
+        match outcome {
+            Outcome::Comparison(summary) => check(summary.policy.as_ref()),
+            Outcome::Breathing(_) => Ok(()),
+        }
     }
-    let policy = policy_args::account(&setup.chosen.controller);
-    policy_args::print(&args.output, policy.as_ref());
-    print_cuts(args, &setup, &comparison);
-    args.output.report(args.report.as_ref(), || report(args, &setup, &comparison))?;
-    args.output.finish(&Summary {
-        seed: args.seed,
-        lung: setup.bench.filter(|_| args.source.bench.bench.is_none()).map(|bench| bench.name),
-        plant: args.source.plant.plant.as_ref().map(ToString::to_string),
-        port: args.source.port.port.as_ref().map(ToString::to_string),
-        bench: args.source.bench.bench.clone(),
-        controller: setup.chosen.name.clone(),
-        weights_id: setup.chosen.weights_id.clone(),
-        gains: setup.pid.pid().gains(),
-        period_us: setup.plan.period_us,
-        breaths: setup.plan.breaths,
-        breaths_of_learning: args.breaths_of_learning,
-        policy: policy.clone(),
-        comparison,
-    })?;
-    policy_args::check(policy.as_ref())
 }
 
 /// Triggered and timed breaths of breathing patients.
-fn run_breathing(args: &Args) -> anyhow::Result<()> {
+fn run_breathing(args: &Args, context: &Context<'_>) -> anyhow::Result<BreathingSummary> {
     let (chosen, plan) = args.chosen_and_plan(None)?;
     let pid = Chosen::pid(args.against.unwrap_or(chosen.gains()), chosen.period_us)?.controller;
     let mut controllers = vec![("PID".to_owned(), &pid)];
     controllers.extend(chosen.beside_pid().map(|name| (name.to_owned(), &chosen.controller)));
     let (names, controllers): (Vec<_>, Vec<_>) = controllers.into_iter().unzip();
     let benches = args.source.bench.benches()?;
-    let breathing = with_bars(|progress| breathing(&benches, &controllers, &plan, progress))?;
+    let breathing = context.progress(|progress| breathing(&benches, &controllers, &plan, progress))?;
     if breathing.patients.is_empty() {
         bail!("stopped before the first lung was complete");
     }
     let title = format!("{} on breathing patients: errors of the true airway pressure, cmH2O", chosen.name);
-    args.output.table(&breathing_table(&breathing, &names, &title));
-    if stopped() {
-        args.output.line("stopped: only the completed lungs are shown");
+    context.table(&breathing_table(&breathing, &names, &title));
+    if context.stopped() {
+        context.line("stopped: only the completed lungs are shown");
     }
-    args.output.finish(&BreathingSummary {
+    Ok(BreathingSummary {
         seed: args.seed,
         controller: chosen.name,
         weights_id: chosen.weights_id,

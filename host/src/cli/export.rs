@@ -5,9 +5,10 @@ mod recording;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context as _, bail};
+use serde::Serialize;
 
-use super::output::OutputArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
 use data::export::pirds::Layout;
 
 /// Arguments of `export`.
@@ -54,6 +55,14 @@ pub struct Args {
     output: OutputArgs,
 }
 
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub enum Outcome {
+    Recording(recording::Exported),
+    Network(network::Summary),
+}
+
 /// A format, by the ending of the file to write.
 #[derive(Clone, Copy)]
 enum Format {
@@ -70,15 +79,26 @@ const FORMATS: [(&str, Format); 4] = [
     ("onnx", Format::Onnx),
 ];
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let format = format(&args.out)?;
-    if !matches!(format, Format::Onnx) && (args.unit.is_some() || args.check.is_some()) {
-        bail!("--unit and --check belong to a controller or simulator: write a file that ends with .onnx");
+impl Command for Args {
+    type Outcome = Outcome;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
     }
-    match format {
-        Format::Mcap => recording::mcap(args),
-        Format::Pirds(layout) => recording::pirds(args, layout),
-        Format::Onnx => network::onnx(args),
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
+        let format = format(&self.out)?;
+        if !matches!(format, Format::Onnx) && (self.unit.is_some() || self.check.is_some()) {
+            bail!(
+                "--unit and --check belong to a controller or simulator: write a file that ends with .onnx"
+            );
+        }
+        match format {
+            Format::Mcap => recording::mcap(self, context).map(Outcome::Recording),
+            Format::Pirds(layout) => recording::pirds(self, layout, context).map(Outcome::Recording),
+            Format::Onnx => network::onnx(self, context).map(Outcome::Network),
+        }
+        .map(Some)
     }
 }
 

@@ -7,12 +7,10 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 
-use super::bars::with_bars;
-use super::common::stopped;
-use super::controller_args;
-use super::key_args::KeyArgs;
-use super::output::OutputArgs;
-use super::settings_args::SettingsArgs;
+use crate::args::controller::learned;
+use crate::args::key::KeyArgs;
+use crate::args::settings::SettingsArgs;
+use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use device::simulated::MOST_PACE;
 use learn::pipeline::commission::{BREATHS_NEEDED, CommissionRun};
 use study::farm::description::Farm;
@@ -115,10 +113,10 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Serialize)]
-struct Summary<'a> {
+pub struct Summary {
     seed: u64,
     #[serde(flatten)]
-    result: &'a FarmResult,
+    result: FarmResult,
     /// Mean error of the farm's controller as a share of that of the best single PID.
     of_best_pid: Option<f64>,
 }
@@ -128,44 +126,56 @@ const REPORT: &str = "report.html";
 /// Scored breaths of each PIP.
 const SCORED_BREATHS: usize = 2;
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let farm = match (&args.file, args.virtual_units) {
-        (Some(file), _) => Farm::load(file)?,
-        (None, Some(count)) => Farm::virtual_units(count, args.seed),
-        (None, None) => bail!("name a farm's FILE.toml, or give --virtual N"),
-    };
-    if args.key.fixes_version() {
-        bail!(
-            "a farm uploads several images to each device, which stores only newer ones: leave out --image-version"
-        );
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Folder(&self.out))
     }
-    let start = controller_args::learned(&args.controller)?;
-    let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
-    let sign = |image| args.key.signed(image).map_err(|error| error.to_string());
-    let run = FarmRun {
-        farm: &farm,
-        config: config(args)?,
-        start: (&start.name, residual),
-        out: args.out.clone(),
-        adopt: args.adopt.clone(),
-        recalibrate: args.recalibrate,
-        until: args.until,
-        patience: Duration::from_secs(args.patience),
-        pace: args.pace,
-        sign: &sign,
-        tell: &|unit, what| eprintln!("unit {unit}: {what}"),
-    };
-    let result = with_bars(|progress| run.run(progress))?;
-    print(args, &result)?;
-    let behind: Vec<&str> =
-        result.units.iter().filter(|unit| unit.problem.is_some()).map(|unit| unit.name.as_str()).collect();
-    if !behind.is_empty() && !stopped() {
-        bail!(
-            "not all units are done ({} left out): repair them, then run the same command again",
-            behind.join(", ")
-        );
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let farm = match (&self.file, self.virtual_units) {
+            (Some(file), _) => Farm::load(file)?,
+            (None, Some(count)) => Farm::virtual_units(count, self.seed),
+            (None, None) => bail!("name a farm's FILE.toml, or give --virtual N"),
+        };
+        if self.key.fixes_version() {
+            bail!(
+                "a farm uploads several images to each device, which stores only newer ones: leave out --image-version"
+            );
+        }
+        let start = learned(&self.controller)?;
+        let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
+        let sign = |image| self.key.signed(image).map_err(|error| error.to_string());
+        let run = FarmRun {
+            farm: &farm,
+            config: config(self)?,
+            start: (&start.name, residual),
+            out: self.out.clone(),
+            adopt: self.adopt.clone(),
+            recalibrate: self.recalibrate,
+            until: self.until,
+            patience: Duration::from_secs(self.patience),
+            pace: self.pace,
+            sign: &sign,
+            tell: &|unit, what| eprintln!("unit {unit}: {what}"),
+        };
+        let result = context.progress(|progress| run.run(progress))?;
+        let of_best_pid = print(self, &result, context)?;
+        Ok(Some(Summary { seed: self.seed, result, of_best_pid }))
     }
-    Ok(())
+
+    fn conclude(&self, outcome: Summary, context: &Context<'_>) -> anyhow::Result<()> {
+        let units = outcome.result.units.iter().filter(|unit| unit.problem.is_some());
+        let behind: Vec<&str> = units.map(|unit| unit.name.as_str()).collect();
+        if !behind.is_empty() && !context.stopped() {
+            bail!(
+                "not all units are done ({} left out): repair them, then run the same command again",
+                behind.join(", ")
+            );
+        }
+        Ok(())
+    }
 }
 
 fn config(args: &Args) -> anyhow::Result<FarmConfig> {
@@ -184,24 +194,23 @@ fn config(args: &Args) -> anyhow::Result<FarmConfig> {
     })
 }
 
-/// Prints the tables, and writes the report and the JSON.
-fn print(args: &Args, result: &FarmResult) -> anyhow::Result<()> {
-    let output = &args.output;
-    output.table(&report::units(result));
+/// Prints the tables and writes the report; returns the error of the farm's controller as a share of that of the best single PID.
+fn print(args: &Args, result: &FarmResult, context: &Context<'_>) -> anyhow::Result<Option<f64>> {
+    context.table(&report::units(result));
     let matrix = result.matrix.as_ref().map(report::matrix);
     for table in [report::drift(result), matrix, report::floors(result)].iter().flatten() {
-        output.table(table);
+        context.table(table);
     }
     for problem in report::problems(result) {
-        output.line(&problem);
+        context.line(&problem);
     }
     let of_best_pid = report::of_best_pid(result);
     if let Some(share) = of_best_pid {
-        output.line(&format!(
+        context.line(&format!(
             "The farm's controller has {:.1} % of the best single PID's error.",
             100.0 * share
         ));
     }
-    output.report(Some(&args.out.join(REPORT)), || Ok(report::report(result)))?;
-    output.finish(&Summary { seed: args.seed, result, of_best_pid })
+    context.report(Some(&args.out.join(REPORT)), || Ok(report::report(result)))?;
+    Ok(of_best_pid)
 }

@@ -1,16 +1,16 @@
 //! `trainer faults`: the fault matrix on the virtual bench.
 
-use anyhow::{anyhow, bail};
-use serde::Serialize;
-use shared::safety::monitors::Monitors;
 use std::path::PathBuf;
 
-use super::bars::with_bars;
-use super::common::benches;
-use super::output::OutputArgs;
+use anyhow::{anyhow, bail};
+use serde::Serialize;
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::safety::monitors::Monitors;
+
+use crate::args::bench::benches;
+use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use data::provenance::Provenance;
 use plant::bench::BenchConfig;
-use shared::breath::DEFAULT_PERIOD_US;
 use show::report::{Block, Cell, Report, Section, Table};
 use trials::faults::cases::{LIMIT, LIMITS};
 use trials::faults::matrix::{FaultRow, false_alarms, matrix};
@@ -69,39 +69,50 @@ pub fn limit(text: &str) -> Result<f32, String> {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     rows: Vec<FaultRow>,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let lungs = benches(&args.lung, &[])?;
-    match (args.nominal, args.mutate) {
-        (Some(breaths), _) => nominal(args, &lungs, breaths),
-        (None, true) => mutate(args, &lungs),
-        (None, false) => faults(args, &lungs),
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Experiment)
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let lungs = benches(&self.lung, &[])?;
+        match (self.nominal, self.mutate) {
+            (Some(breaths), _) => nominal(&lungs, breaths, context).map(|()| None),
+            (None, true) => mutate(self, &lungs, context).map(|()| None),
+            (None, false) => faults(self, &lungs, context).map(Some),
+        }
+    }
+
+    fn conclude(&self, outcome: Summary, context: &Context<'_>) -> anyhow::Result<()> {
+        let (failed, all) = (outcome.rows.iter().filter(|row| !row.pass).count(), outcome.rows.len());
+        if failed > 0 {
+            bail!("{failed} of {all} rows failed");
+        }
+        context.line(&format!("all {all} rows passed"));
+        Ok(())
     }
 }
 
-fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
+fn faults(args: &Args, lungs: &[BenchConfig], context: &Context<'_>) -> anyhow::Result<Summary> {
     let monitors = match &args.without {
         Some(name) => named(name)?.others(),
         None => Monitors::ALL,
     };
-    let rows = with_bars(|progress| matrix(lungs, &args.seeds, args.limit, monitors, progress))?;
+    let rows = context.progress(|progress| matrix(lungs, &args.seeds, args.limit, monitors, progress))?;
     let table = table(&rows);
-    args.output.table(&table);
-    args.output.report(args.html.as_ref(), || Ok(report(table, args.limit)))?;
-    let (failed, all) = (rows.iter().filter(|row| !row.pass).count(), rows.len());
-    args.output.finish(&Summary { rows })?;
-    if failed > 0 {
-        bail!("{failed} of {all} rows failed");
-    }
-    args.output.line(&format!("all {all} rows passed"));
-    Ok(())
+    context.table(&table);
+    context.report(args.html.as_ref(), || Ok(report(table, args.limit)))?;
+    Ok(Summary { rows })
 }
 
-fn mutate(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
-    let found = with_bars(|progress| without_each_part(lungs, &args.seeds, progress))?;
+fn mutate(args: &Args, lungs: &[BenchConfig], context: &Context<'_>) -> anyhow::Result<()> {
+    let found = context.progress(|progress| without_each_part(lungs, &args.seeds, progress))?;
     let mut table =
         Table::new("A row that fails without a monitor or a response", &["without", "fault", "lung"]);
     for (part, row) in &found {
@@ -110,22 +121,22 @@ fn mutate(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
     }
     let unnoticed: Vec<_> =
         found.iter().filter(|(_, row)| row.is_none()).map(|(part, _)| part.name()).collect();
-    args.output.table(&table);
+    context.table(&table);
     if !unnoticed.is_empty() {
         bail!("no row fails without {}: add a fault that needs it", unnoticed.join(", "));
     }
     Ok(())
 }
 
-fn nominal(args: &Args, lungs: &[BenchConfig], breaths: u32) -> anyhow::Result<()> {
-    let alarms = with_bars(|progress| false_alarms(lungs, breaths, progress))?;
+fn nominal(lungs: &[BenchConfig], breaths: u32, context: &Context<'_>) -> anyhow::Result<()> {
+    let alarms = context.progress(|progress| false_alarms(lungs, breaths, progress))?;
     for (lung, fault) in &alarms {
-        args.output.line(&format!("{lung}: {}", fault.alarm().text));
+        context.line(&format!("{lung}: {}", fault.alarm().text));
     }
     if !alarms.is_empty() {
         bail!("{} false alarms in {breaths} breaths", alarms.len());
     }
-    args.output.line(&format!("no alarm in {breaths} breaths"));
+    context.line(&format!("no alarm in {breaths} breaths"));
     Ok(())
 }
 

@@ -6,12 +6,11 @@ mod tests;
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::Context as _;
 use clap::ValueEnum;
 
-use super::bars::with_bars;
-use super::common::Preset;
-use super::output::OutputArgs;
+use crate::args::preset::Preset;
+use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use data::identity::LungParameters;
 use data::recording::Recording;
 use learn::recipe::{self, Recipe};
@@ -101,32 +100,41 @@ impl From<Kind> for recipe::Kind {
     }
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let recording = load(&args.data)?;
-    if args.preset == Some(Preset::Paper30Ms) {
-        recipe::check_paper_setting(&recording)?;
+impl Command for Args {
+    type Outcome = FitSummary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Experiment)
     }
-    let recipe = recipe(args);
-    let architecture = recipe.architecture(&recording)?;
-    let all = episodes(&recording, architecture.timing());
-    let parts = recipe.parts(&all)?;
-    let fitted = with_bars(|progress| recipe.fit(architecture, &recording, &parts.training, progress))?;
-    if let Some(path) = &args.out {
-        fitted.simulator.save(path)?;
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<FitSummary>> {
+        let recording = load(&self.data)?;
+        if self.preset == Some(Preset::Paper30Ms) {
+            recipe::check_paper_setting(&recording)?;
+        }
+        let recipe = recipe(self);
+        let architecture = recipe.architecture(&recording)?;
+        let all = episodes(&recording, architecture.timing());
+        let parts = recipe.parts(&all)?;
+        let fitted =
+            context.progress(|progress| recipe.fit(architecture, &recording, &parts.training, progress))?;
+        if let Some(path) = &self.out {
+            fitted.simulator.save(path)?;
+        }
+        let summary = FitSummary::new(self.seed, &fitted, &parts, &recording);
+        context.table(&table(&summary));
+        for line in remarks(&summary) {
+            context.line(&line);
+        }
+        if summary.stopped {
+            context.line(&format!("stopped after {} epochs", summary.epochs));
+        }
+        if let Some(path) = &self.out {
+            context.saved(path);
+        }
+        context.report(self.report.as_ref(), || Ok(report::report(&summary, &fitted, &parts, &recording)))?;
+        Ok(Some(summary))
     }
-    let summary = FitSummary::new(args.seed, &fitted, &parts, &recording);
-    args.output.table(&table(&summary));
-    for line in remarks(&summary) {
-        args.output.line(&line);
-    }
-    if summary.stopped {
-        args.output.line(&format!("stopped after {} epochs", summary.epochs));
-    }
-    if let Some(path) = &args.out {
-        args.output.saved(path);
-    }
-    args.output.report(args.report.as_ref(), || Ok(report::report(&summary, &fitted, &parts, &recording)))?;
-    args.output.finish(&summary)
 }
 
 fn recipe(args: &Args) -> Recipe {

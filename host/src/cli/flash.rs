@@ -1,18 +1,17 @@
 //! `trainer flash`: writes weights to a device over its link, or the firmware through a debug probe.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process;
 
-use anyhow::{Context, bail};
+use anyhow::{Context as _, bail};
 use serde::Serialize;
 use shared::weights::decode;
 use shared::weights::slots::Slot;
 
-use super::bars::with_bars;
-use super::common::warn_of_development_build;
-use super::controller_args::{image_id, read};
-use super::key_args::KeyArgs;
-use super::output::OutputArgs;
+use crate::args::controller::{image_id, read};
+use crate::args::key::KeyArgs;
+use crate::args::port::warn_of_development_build;
+use crate::command::{Command, Context, Output, OutputArgs};
 use data::tensors;
 use device::Device;
 use device::port::Address;
@@ -59,21 +58,29 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     weights_id: String,
     slot: Slot,
     running: Option<String>,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    match (&args.weights, &args.port, &args.firmware) {
-        (Some(weights), Some(port), _) => flash_weights(args, weights, port),
-        (_, _, Some(firmware)) => flash_firmware(firmware, &args.chip),
-        _ => bail!("give a weights file and --port, or --firmware"),
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        match (&self.weights, &self.port, &self.firmware) {
+            (Some(weights), Some(port), _) => flash_weights(self, weights, port, context).map(Some),
+            (_, _, Some(firmware)) => flash_firmware(firmware, &self.chip, context).map(|()| None),
+            _ => bail!("give a weights file and --port, or --firmware"),
+        }
     }
 }
 
-fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()> {
+fn flash_weights(args: &Args, file: &Path, port: &Address, context: &Context<'_>) -> anyhow::Result<Summary> {
     let image = read(file)?;
     if let Err(error) = decode(&image) {
         // A controller's file has the better reason: its architecture, or that it is not packed yet.
@@ -86,12 +93,12 @@ fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()>
     let image = args.key.signed(image)?;
     let mut device = Device::connect(port)?;
     warn_of_development_build(&device.identify()?);
-    let uploaded = with_bars(|progress| device.upload(&image, progress))?;
+    let uploaded = context.progress(|progress| device.upload(&image, progress))?;
     let id = image_id(uploaded.id);
-    args.output.line(&format!("weights {id} are stored and verified in slot {:?}", uploaded.slot));
+    context.line(&format!("weights {id} are stored and verified in slot {:?}", uploaded.slot));
     let mut summary = Summary { weights_id: id.clone(), slot: uploaded.slot, running: None };
     if args.no_reset {
-        args.output.line("the new weights run after the next restart");
+        context.line("the new weights run after the next restart");
     } else {
         summary.running = device.restart()?.running_id().map(image_id);
         let running = summary.running.as_deref().unwrap_or("no weights");
@@ -100,26 +107,29 @@ fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()>
                 "after the restart the device runs {running}; check it with: trainer identify --port {port}"
             );
         }
-        args.output.line("restarted: the new weights run now");
+        context.line("restarted: the new weights run now");
     }
-    args.output.finish(&summary)
+    Ok(summary)
 }
 
-fn flash_firmware(image: &Path, chip: &str) -> anyhow::Result<()> {
+fn flash_firmware(image: &Path, chip: &str, context: &Context<'_>) -> anyhow::Result<()> {
     if !image.exists() {
         bail!("{} does not exist; build it with: cargo xtask firmware", image.display());
     }
-    let status =
-        match Command::new("probe-rs").args(["download", "--verify", "--chip", chip]).arg(image).status() {
-            Ok(status) => status,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                bail!("probe-rs is not installed; install it with: cargo install probe-rs-tools --locked")
-            }
-            Err(error) => return Err(error).context("cannot run probe-rs"),
-        };
+    let status = match process::Command::new("probe-rs")
+        .args(["download", "--verify", "--chip", chip])
+        .arg(image)
+        .status()
+    {
+        Ok(status) => status,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            bail!("probe-rs is not installed; install it with: cargo install probe-rs-tools --locked")
+        }
+        Err(error) => return Err(error).context("cannot run probe-rs"),
+    };
     if !status.success() {
         bail!("probe-rs failed (see above): check that the probe is plugged in and the board powered");
     }
-    println!("loaded and verified; press the board's reset button, or switch it off and on");
+    context.line("loaded and verified; press the board's reset button, or switch it off and on");
     Ok(())
 }

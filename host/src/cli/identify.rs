@@ -5,7 +5,9 @@ mod lung;
 
 use std::path::PathBuf;
 
-use super::output::OutputArgs;
+use serde::Serialize;
+
+use crate::command::{Command, Context, Output, OutputArgs};
 use device::port::Address;
 
 /// Identify the connected device, or the lungs in a recording
@@ -55,10 +57,27 @@ struct LungArgs {
     report: Option<PathBuf>,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    match (&args.port, &args.data) {
-        (Some(port), _) => connected::run(port, &args.output),
-        (None, Some(data)) => lung::run(data, &args.lung, &args.output),
-        (None, None) => anyhow::bail!("name a device with --port or a recording with --data"),
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub enum Outcome {
+    Device(connected::Found),
+    Lungs(lung::Found),
+}
+
+impl Command for Args {
+    type Outcome = Outcome;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
+        match (&self.port, &self.data) {
+            (Some(port), _) => connected::run(port, context).map(Outcome::Device),
+            (None, Some(data)) => lung::run(data, &self.lung, context).map(Outcome::Lungs),
+            (None, None) => anyhow::bail!("name a device with --port or a recording with --data"),
+        }
+        .map(Some)
     }
 }

@@ -2,11 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::Context as _;
 use clap::Subcommand;
 
-use super::bars::with_bars;
-use super::output::OutputArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
 use data::import::account::ImportSummary;
 use data::import::import_pirds;
 use data::import::map::ColumnMap;
@@ -120,29 +119,44 @@ struct FileArgs {
     output: OutputArgs,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    match &args.from {
-        From::Respiraworks(files) => import(files, &ColumnMap::respiraworks()?),
-        From::Kaggle(files) => import(files, &ColumnMap::kaggle()?),
-        From::Csv(args) => {
-            let map = ColumnMap::load(&args.map).with_context(|| args.map.display().to_string())?;
-            import(&args.files, &map)
+impl Command for Args {
+    type Outcome = ImportSummary;
+
+    fn output(&self) -> Output<'_> {
+        match &self.from {
+            From::Respiraworks(files) | From::Kaggle(files) => files.output.json(),
+            From::Csv(args) => args.files.output.json(),
+            From::Pirds(args) => args.output.json(),
         }
-        From::Pirds(args) => {
-            let summary = with_bars(|progress| import_pirds(&args.files, &args.out, progress))?;
-            report(&summary, &args.out, &args.output)
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<ImportSummary>> {
+        match &self.from {
+            From::Respiraworks(files) => import(files, &ColumnMap::respiraworks()?, context),
+            From::Kaggle(files) => import(files, &ColumnMap::kaggle()?, context),
+            From::Csv(csv) => {
+                let map = ColumnMap::load(&csv.map).with_context(|| csv.map.display().to_string())?;
+                import(&csv.files, &map, context)
+            }
+            From::Pirds(events) => {
+                let summary =
+                    context.progress(|progress| import_pirds(&events.files, &events.out, progress))?;
+                Ok(report(summary, &events.out, context))
+            }
         }
+        .map(Some)
     }
 }
 
-fn import(args: &FileArgs, map: &ColumnMap) -> anyhow::Result<()> {
+fn import(args: &FileArgs, map: &ColumnMap, context: &Context<'_>) -> anyhow::Result<ImportSummary> {
     let layout = map.layout()?;
-    let summary = with_bars(|progress| data::import::import(&args.files, &layout, &args.out, progress))?;
-    report(&summary, &args.out, &args.output)
+    let summary =
+        context.progress(|progress| data::import::import(&args.files, &layout, &args.out, progress))?;
+    Ok(report(summary, &args.out, context))
 }
 
-fn report(summary: &ImportSummary, out: &Path, output: &OutputArgs) -> anyhow::Result<()> {
-    output.line(&summary.to_string());
-    output.saved(out);
-    output.finish(summary)
+fn report(summary: ImportSummary, out: &Path, context: &Context<'_>) -> ImportSummary {
+    context.line(&summary.to_string());
+    context.saved(out);
+    summary
 }

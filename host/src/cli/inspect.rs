@@ -2,15 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context as _, bail};
+use serde::Serialize;
 use serde_json::{Value, json};
 use shared::control::network::Network;
 use shared::control::residual::ResidualSpec;
 use shared::weights::trust::is_signed;
 use shared::weights::{ARCHITECTURE, FORMAT_VERSION, Image, MAGIC, decode};
 
-use super::controller_args::image_id;
-use super::output::OutputArgs;
+use crate::args::controller::image_id;
+use crate::command::{Command, Context, Output, OutputArgs};
 use data::recording::Recording;
 use data::tensors;
 use learn::controller::authors::{AuthorsController, AuthorsSpec};
@@ -41,16 +42,33 @@ pub struct Args {
 /// Names and values, in the order in which they are shown.
 type Facts = Vec<(&'static str, Value)>;
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    if let Some(name) = &args.bench {
-        let bench = BenchConfig::from_name(name)?;
-        args.output.line(bench.to_toml().trim_end());
-        return args.output.finish(&bench);
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub enum Outcome {
+    Bench(Box<BenchConfig>),
+    File(Value),
+}
+
+impl Command for Args {
+    type Outcome = Outcome;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
     }
-    let file = args.file.as_deref().context("no file given")?;
-    let facts = facts(file)?;
-    args.output.table(&table(file, &facts));
-    args.output.finish(&facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect::<Value>())
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
+        if let Some(name) = &self.bench {
+            let bench = BenchConfig::from_name(name)?;
+            context.line(bench.to_toml().trim_end());
+            return Ok(Some(Outcome::Bench(Box::new(bench))));
+        }
+        let file = self.file.as_deref().context("no file given")?;
+        let facts = facts(file)?;
+        context.table(&table(file, &facts));
+        let named = facts.into_iter().map(|(name, value)| (name.to_owned(), value));
+        Ok(Some(Outcome::File(named.collect())))
+    }
 }
 
 /// Describes a file by the format in its first bytes or, if those are damaged, by its name's extension.

@@ -3,14 +3,12 @@
 mod picture;
 mod tables;
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context as _, bail, ensure};
 use serde::Serialize;
 
-use super::bars::with_bars;
-use super::output::OutputArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
 use data::import::map::ColumnMap;
 use data::recording::Recording;
 use verdict::{Band, Judged, Kind, Limits, Verdict, judge};
@@ -108,60 +106,67 @@ impl LimitArgs {
     }
 }
 
-/// Breaths violate declared limits; the command has its own exit code for that.
-#[derive(Debug)]
-pub struct Violated {
-    breaths: usize,
-    judged: usize,
-}
-
-impl fmt::Display for Violated {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} of {} judged breaths violate a declared limit", self.breaths, self.judged)
-    }
-}
-
-impl std::error::Error for Violated {}
-
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     /// Whether every declared limit is kept by every breath.
     pass: bool,
     files: Vec<FileVerdict>,
 }
 
 #[derive(Debug, Serialize)]
-struct FileVerdict {
+pub struct FileVerdict {
     file: String,
     #[serde(flatten)]
     verdict: Verdict,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let map = args.map.as_deref().map(column_map).transpose()?;
-    let limits = args.limits.limits();
-    let judged = if args.measured { Judged::Measured } else { Judged::True };
-    let mut files = Vec::new();
-    for file in &args.files {
-        let recording = load(file, map.as_ref())?;
-        let name = file.display().to_string();
-        let verdict = judge(&recording, judged, &limits).with_context(|| format!("cannot judge {name}"))?;
-        tables::print(&args.output, &name, &verdict, args.worst);
-        if let Some(folder) = &args.figure {
-            for path in picture::draw(folder, file, &recording, &verdict, args.worst)? {
-                args.output.saved(&path);
+impl Command for Args {
+    type Outcome = Summary;
+
+    /// A breath violates a declared limit.
+    const REFUSED: u8 = 3;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let map = self.map.as_deref().map(column_map).transpose()?;
+        let limits = self.limits.limits();
+        let judged = if self.measured { Judged::Measured } else { Judged::True };
+        let mut files = Vec::new();
+        for file in &self.files {
+            let recording = load(file, map.as_ref(), context)?;
+            let name = file.display().to_string();
+            let verdict =
+                judge(&recording, judged, &limits).with_context(|| format!("cannot judge {name}"))?;
+            tables::print(context, &name, &verdict, self.worst);
+            if let Some(folder) = &self.figure {
+                for path in picture::draw(folder, file, &recording, &verdict, self.worst)? {
+                    context.saved(&path);
+                }
             }
+            files.push(FileVerdict { file: name, verdict });
         }
-        files.push(FileVerdict { file: name, verdict });
+        let violated = violating_breaths(&files);
+        Ok(Some(Summary { pass: violated == 0, files }))
     }
-    let violated: usize = files.iter().map(|file| file.verdict.violating_breaths()).sum();
-    let judged = files.iter().map(|file| file.verdict.breaths.len()).sum();
-    args.output.finish(&Summary { pass: violated == 0, files })?;
-    if violated > 0 {
-        return Err(Violated { breaths: violated, judged }.into());
+
+    fn conclude(&self, outcome: Summary, _context: &Context<'_>) -> anyhow::Result<()> {
+        let files = &outcome.files;
+        let judged: usize = files.iter().map(|file| file.verdict.breaths.len()).sum();
+        ensure!(
+            outcome.pass,
+            "{} of {judged} judged breaths violate a declared limit",
+            violating_breaths(files)
+        );
+        Ok(())
     }
-    Ok(())
+}
+
+fn violating_breaths(files: &[FileVerdict]) -> usize {
+    files.iter().map(|file| file.verdict.violating_breaths()).sum()
 }
 
 pub(super) fn column_map(name: &str) -> anyhow::Result<ColumnMap> {
@@ -173,7 +178,7 @@ pub(super) fn column_map(name: &str) -> anyhow::Result<ColumnMap> {
 }
 
 /// Reads a recording, or imports a table.
-pub(super) fn load(file: &Path, map: Option<&ColumnMap>) -> anyhow::Result<Recording> {
+pub(super) fn load(file: &Path, map: Option<&ColumnMap>, context: &Context<'_>) -> anyhow::Result<Recording> {
     if file.extension().is_some_and(|extension| extension == "parquet") {
         return Ok(Recording::load(file)?);
     }
@@ -183,6 +188,6 @@ pub(super) fn load(file: &Path, map: Option<&ColumnMap>) -> anyhow::Result<Recor
     let layout = map.layout()?;
     let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
     let out = folder.path().join("imported.parquet");
-    with_bars(|progress| data::import::import(&[file.to_owned()], &layout, &out, progress))?;
+    context.progress(|progress| data::import::import(&[file.to_owned()], &layout, &out, progress))?;
     Ok(Recording::load(&out)?)
 }

@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
-use device::keys::{PrivateKey, hex, public_file};
+use anyhow::Context as _;
 use serde::Serialize;
 
-use super::output::OutputArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
+use device::keys::{PrivateKey, hex, public_file};
 
 /// Make a key pair for signing weights, or show its public key
 #[derive(Debug, clap::Args)]
@@ -36,21 +36,29 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     public_key: String,
     id: String,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let key = if let Some(path) = &args.out {
-        let key = PrivateKey::create(path)?;
-        args.output.saved(path);
-        args.output.saved(&public_file(path));
-        key
-    } else {
-        PrivateKey::load(args.show.as_ref().context("give --out or --show")?)?
-    };
-    let summary = Summary { public_key: key.public(), id: hex(&key.id().0) };
-    args.output.line(&format!("public key {}, named {} by devices", summary.public_key, summary.id));
-    args.output.finish(&summary)
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let key = if let Some(path) = &self.out {
+            let key = PrivateKey::create(path)?;
+            context.saved(path);
+            context.saved(&public_file(path));
+            key
+        } else {
+            PrivateKey::load(self.show.as_ref().context("give --out or --show")?)?
+        };
+        let summary = Summary { public_key: key.public(), id: hex(&key.id().0) };
+        context.line(&format!("public key {}, named {} by devices", summary.public_key, summary.id));
+        Ok(Some(summary))
+    }
 }

@@ -1,26 +1,23 @@
 //! `trainer margins`: stability margins by sine injection, the residual's gain, the certificate of iterative learning, and the
 //! accuracy of the pressure.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use serde::Serialize;
 use shared::control::pid::PidGains;
 
-use super::bars::with_bars;
-use super::common::{benches, stopped};
-use super::controller_args::{Chosen, ControllerArgs};
-use super::output::{self, OutputArgs};
+use crate::args::bench::benches;
+use crate::args::controller::{Chosen, ControllerArgs};
+use crate::command::{Command, Context, Makes, Output, OutputArgs, write};
 use margins::iteration::{Certificate, Certified, LearningFilter, Spread};
-use margins::residual_gain::ResidualGain;
 use margins::response::Sweep;
 use margins::stability::{Margins, Required};
-use margins::{MeasuredPoint, PlantMargins, Question, measure};
+use margins::{MeasuredPoint, Overall, PlantMargins, Question, measure};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
-use progress::{Progress, Stage};
 use show::report::{Cell, Plot, Series, Style, Table};
-use trials::accuracy::{self, Accuracy, PhaseEnd, Setup};
+use trials::accuracy::{Declared, Setup, declared};
 
 /// Curves that a figure shows at most: those of the plants with the worst margins.
 const CURVES: usize = 6;
@@ -100,7 +97,7 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     controller: String,
     weights_id: Option<String>,
     gains: PidGains,
@@ -108,26 +105,12 @@ struct Summary {
     seed: u64,
     sweep: Sweep,
     required: Required,
-    /// Share of the plants that keep the required margins.
-    share_robust: f64,
-    /// The worst margins of all plants; none if a loop oscillates by itself.
-    worst: Option<Margins>,
-    /// The residual's largest gain on all plants.
-    residual: Option<ResidualGain>,
+    #[serde(flatten)]
+    overall: Overall,
     accuracy: Vec<Declared>,
     #[serde(skip_serializing_if = "Option::is_none")]
     learning: Option<Certificate>,
     plants: Vec<PlantMargins>,
-}
-
-/// Accuracy at one phase's end.
-#[derive(Debug, Serialize)]
-struct Declared {
-    phase: &'static str,
-    leak: bool,
-    /// Number of plants measured; on the others the ventilator stopped.
-    plants: usize,
-    accuracy: Option<Accuracy>,
 }
 
 fn amplitude(text: &str) -> Result<f64, String> {
@@ -147,37 +130,46 @@ fn learning(text: &str) -> Result<LearningFilter, String> {
     }
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let family = args.family.as_deref().map(Family::find).transpose()?;
-    let plants = plants(args, family.as_ref())?;
-    let chosen = match &family {
-        Some(family) => args.controller.chosen_for(family)?,
-        None => args.controller.chosen(None)?,
-    };
-    if args.learning_figure.is_some() && learning_of(args, &chosen).is_none() {
-        bail!(
-            "--learning-figure needs a learning rule: give --learning, or choose --controller iterative or gated"
-        );
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Experiment)
     }
-    let sweep = Sweep::default().with_amplitude(args.amplitude);
-    let question = Question { period_us: chosen.period_us, sweep, seed: args.seed };
-    let (measured, accuracy) = with_bars(|progress| -> anyhow::Result<_> {
-        let measured = measure(&plants, &chosen.controller, chosen.residual(), &question, progress)?;
-        Ok((measured, declared(&plants, &chosen, args.seed, progress)?))
-    })?;
-    if measured.is_empty() {
-        args.output.line("stopped before the first plant was measured");
-        return Ok(());
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let family = self.family.as_deref().map(Family::find).transpose()?;
+        let plants = plants(self, family.as_ref())?;
+        let chosen = match &family {
+            Some(family) => self.controller.chosen_for(family)?,
+            None => self.controller.chosen(None)?,
+        };
+        if self.learning_figure.is_some() && learning_of(self, &chosen).is_none() {
+            bail!(
+                "--learning-figure needs a learning rule: give --learning, or choose --controller iterative or gated"
+            );
+        }
+        let sweep = Sweep::default().with_amplitude(self.amplitude);
+        let question = Question { period_us: chosen.period_us, sweep, seed: self.seed };
+        let (measured, accuracy) = context.progress(|progress| -> anyhow::Result<_> {
+            let measured = measure(&plants, &chosen.controller, chosen.residual(), &question, progress)?;
+            let setup = Setup { period_us: chosen.period_us, seed: self.seed };
+            Ok((measured, declared(&plants, &chosen.controller, setup, progress)?))
+        })?;
+        if measured.is_empty() {
+            context.line("stopped before the first plant was measured");
+            return Ok(None);
+        }
+        let summary = summary(self, &chosen, sweep, measured, accuracy);
+        print(self, &summary, context);
+        if let Some(file) = &self.figure {
+            save(file, &nyquist(&summary.plants), context)?;
+        }
+        if let (Some(file), Some(learning)) = (&self.learning_figure, &summary.learning) {
+            save(file, &contraction(learning), context)?;
+        }
+        Ok(Some(summary))
     }
-    let summary = summary(args, &chosen, sweep, measured, accuracy);
-    print(args, &summary);
-    if let Some(file) = &args.figure {
-        save(args, file, &nyquist(&summary.plants))?;
-    }
-    if let (Some(file), Some(learning)) = (&args.learning_figure, &summary.learning) {
-        save(args, file, &contraction(learning))?;
-    }
-    args.output.finish(&summary)
 }
 
 /// The learning rule to certify: the given one, or the controller's own.
@@ -193,35 +185,6 @@ fn plants(args: &Args, family: Option<&Family>) -> anyhow::Result<Vec<BenchConfi
     }
 }
 
-/// The accuracy over all plants, by phase and leak. Plants on which the ventilator stops, and those that are left when the user stops
-/// the command, do not count.
-fn declared(
-    plants: &[BenchConfig],
-    chosen: &Chosen,
-    seed: u64,
-    progress: &Progress<'_>,
-) -> anyhow::Result<Vec<Declared>> {
-    let setup = Setup { period_us: chosen.period_us, seed };
-    let task = progress.task(Stage::Accuracy, 2 * plants.len());
-    let mut declared = Vec::new();
-    for leak in [false, true] {
-        let ends: Vec<PhaseEnd> = accuracy::measure_all(plants, &chosen.controller, leak, setup, &task)?;
-        let gathered = |of: fn(&PhaseEnd) -> &Vec<_>| ends.iter().flat_map(of).copied().collect::<Vec<_>>();
-        for (phase, measured) in [
-            ("inspiration", gathered(|end| &end.inspiration)),
-            ("expiration", gathered(|end| &end.expiration)),
-        ] {
-            declared.push(Declared {
-                phase,
-                leak,
-                plants: ends.len(),
-                accuracy: Accuracy::declared(&measured),
-            });
-        }
-    }
-    Ok(declared)
-}
-
 fn summary(
     args: &Args,
     chosen: &Chosen,
@@ -230,10 +193,6 @@ fn summary(
     accuracy: Vec<Declared>,
 ) -> Summary {
     let required = Required::default();
-    let robust =
-        plants.iter().filter(|plant| plant.worst.is_some_and(|worst| worst.keeps(&required))).count();
-    let worst: Option<Vec<Margins>> = plants.iter().map(|plant| plant.worst).collect();
-    let gains = plants.iter().filter_map(|plant| plant.pid.as_ref().map(|pid| pid.residual));
     let learning = learning_of(args, chosen).map(|filter| Certificate::of(filter, &plants, chosen.period_us));
     Summary {
         controller: chosen.name.clone(),
@@ -242,10 +201,8 @@ fn summary(
         period_us: chosen.period_us,
         seed: args.seed,
         sweep,
+        overall: Overall::of(&plants, &required),
         required,
-        share_robust: robust as f64 / plants.len().max(1) as f64,
-        worst: worst.and_then(|all| all.into_iter().reduce(|one, other| one.worst(&other))),
-        residual: gains.reduce(|one, other| one.worst(&other)),
         accuracy,
         learning,
         plants,
@@ -253,27 +210,27 @@ fn summary(
 }
 
 /// Prints the tables.
-fn print(args: &Args, summary: &Summary) {
+fn print(args: &Args, summary: &Summary, context: &Context<'_>) {
     let several = summary.plants.len() > 1;
     let title = format!("Margins of {}, sine of {} %", summary.controller, args.amplitude);
-    args.output.table(&if several {
+    context.table(&if several {
         by_plant(&title, &summary.plants)
     } else {
         by_pip(&title, &summary.plants[0])
     });
-    let robust = (summary.share_robust * summary.plants.len() as f64).round();
+    let robust = (summary.overall.share_robust * summary.plants.len() as f64).round();
     let Required { ms, gain_margin, delay_margin_ms } = summary.required;
-    args.output.line(&format!(
+    context.line(&format!(
         "{robust} of {} plants keep Ms {ms}, gain margin {gain_margin} and delay margin {delay_margin_ms} ms",
         summary.plants.len()
     ));
-    if let Some(gain) = &summary.residual {
+    if let Some(gain) = &summary.overall.residual {
         for (name, largest) in [
             ("to the pressure, %/cmH2O", gain.direct),
             ("with its own commands fed back, %/cmH2O", gain.residual),
             ("times the loop of its PID", gain.times_loop),
         ] {
-            args.output.line(&format!(
+            context.line(&format!(
                 "largest gain of the residual {name}: {:.2} (at {:.1} Hz, PIP {})",
                 largest.value, largest.hz, largest.pip
             ));
@@ -282,19 +239,19 @@ fn print(args: &Args, summary: &Summary) {
     if let Some(learning) = &summary.learning
         && let Some(worst) = learning.worst
     {
-        args.output.line(&format!(
+        context.line(&format!(
             "iterative learning: largest factor on an error from breath to breath {:.3} (at {:.1} Hz)",
             worst.factor, worst.hz
         ));
         let certified = learning.plants.iter().filter(|plant| plant.certified).count();
-        args.output.line(&format!(
+        context.line(&format!(
             "{certified} of {} plants are certified: factor below one at every frequency, no loop that oscillates by itself",
             learning.plants.len()
         ));
     }
-    args.output.table(&accuracy_table(&summary.accuracy));
-    if stopped() {
-        args.output.line("stopped: only the plants measured so far are shown");
+    context.table(&accuracy_table(&summary.accuracy));
+    if context.stopped() {
+        context.line("stopped: only the plants measured so far are shown");
     }
 }
 
@@ -454,9 +411,9 @@ fn contraction(certificate: &Certificate) -> Plot {
     Plot::new("Factor on an error from breath to breath", "frequency, Hz", "abs(Q (1 - L P S))", series)
 }
 
-fn save(args: &Args, file: &std::path::Path, plot: &Plot) -> anyhow::Result<()> {
-    output::write(file, plot.to_svg()?.as_bytes())?;
-    args.output.saved(file);
+fn save(file: &Path, plot: &Plot, context: &Context<'_>) -> anyhow::Result<()> {
+    write(file, plot.to_svg()?.as_bytes())?;
+    context.saved(file);
     Ok(())
 }
 

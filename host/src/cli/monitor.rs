@@ -15,9 +15,9 @@ use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Settings};
 use shared::timing::TickTimes;
 
-use super::common::{gains, stop, stopped, warn_of_development_build};
-use super::controller_args::format_gains;
-use super::output::OutputArgs;
+use crate::args::gains::{format_gains, gains};
+use crate::args::port::warn_of_development_build;
+use crate::command::{Command, Context, Output, OutputArgs};
 use data::export::mcap::Counts;
 use device::port::Address;
 use device::{Device, LineCounters};
@@ -78,44 +78,53 @@ pub struct Args {
 /// How long the line output waits for an event before it checks whether to stop.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    if args.output.json.is_some() && !args.once && args.mcap.is_none() {
-        bail!(
-            "--json writes the state once, or what --mcap has written: add --once or --mcap, or omit --json"
-        );
+impl Command for Args {
+    type Outcome = Outcome;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
     }
-    let mut device = Device::connect(&args.port)?;
-    if args.once {
-        return once(args, &mut device);
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
+        if self.output.json.is_some() && !self.once && self.mcap.is_none() {
+            bail!(
+                "--json writes the state once, or what --mcap has written: add --once or --mcap, or omit --json"
+            );
+        }
+        let mut device = Device::connect(&self.port)?;
+        if self.once {
+            return once(self, &mut device, context).map(|state| Some(Outcome::State(Box::new(state))));
+        }
+        // Report a device that does not answer immediately; later, wait for a lost device to return.
+        let identity = device.identify()?;
+        warn_of_development_build(&identity);
+        let mut tape = Tape::new(self, &identity)?;
+        let session = Session::start(device);
+        let shown = watch(self, &session, &mut tape, context);
+        session.leave();
+        let captured = tape.finish(context)?;
+        shown?;
+        Ok(captured.map(Outcome::Captured))
     }
-    // Report a device that does not answer immediately; later, wait for a lost device to return.
-    let identity = device.identify()?;
-    warn_of_development_build(&identity);
-    let mut tape = Tape::new(args, &identity)?;
-    let session = Session::start(device);
-    let shown = watch(args, &session, &mut tape);
-    session.leave();
-    tape.finish(&args.output)?;
-    shown
 }
 
 /// Shows the device in charts or in lines until the operator quits.
-fn watch(args: &Args, session: &Session, tape: &mut Tape) -> anyhow::Result<()> {
+fn watch(args: &Args, session: &Session, tape: &mut Tape, context: &Context<'_>) -> anyhow::Result<()> {
     let only_json = args.output.json.as_deref() == Some(Path::new("-"));
     if args.plain || only_json || !stdout().is_terminal() {
-        write_lines(session, tape, only_json);
+        write_lines(session, tape, only_json, context);
         return Ok(());
     }
     let mut view = View::new(args.port.to_string(), args.gains);
-    let shown = terminal::run(session, &mut view, &mut |news| _ = tape.take(news), stop());
-    args.output.line(&view.farewell());
+    let shown = terminal::run(session, &mut view, &mut |news| _ = tape.take(news), context.stop());
+    context.line(&view.farewell());
     Ok(shown?)
 }
 
 /// Writes lines until Ctrl-C, or until the reader closes the output; none if it is only for JSON.
-fn write_lines(session: &Session, tape: &mut Tape, only_json: bool) {
+fn write_lines(session: &Session, tape: &mut Tape, only_json: bool, context: &Context<'_>) {
     let mut lines = Lines::default();
-    while !stopped() {
+    while !context.stopped() {
         let Some(news) = session.next(PATIENCE) else { continue };
         if tape.take(&news) {
             eprintln!(
@@ -148,11 +157,11 @@ impl Tape {
     }
 
     /// Finishes the file and reports what it contains, or why it is not complete.
-    fn finish(self, output: &OutputArgs) -> anyhow::Result<()> {
-        let Some((path, capture)) = self.0 else { return Ok(()) };
+    fn finish(self, context: &Context<'_>) -> anyhow::Result<Option<Captured>> {
+        let Some((path, capture)) = self.0 else { return Ok(None) };
         let messages = capture.finish()?;
-        output.saved(&path);
-        output.finish(&Captured { file: path, messages })
+        context.saved(&path);
+        Ok(Some(Captured { file: path, messages }))
     }
 }
 
@@ -162,9 +171,17 @@ fn now_ns() -> u64 {
     since.as_nanos().try_into().unwrap_or(u64::MAX)
 }
 
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub enum Outcome {
+    State(Box<State>),
+    Captured(Captured),
+}
+
 /// The content of `--json` with `--mcap`.
 #[derive(Debug, Serialize)]
-struct Captured {
+pub struct Captured {
     file: PathBuf,
     /// Number of messages of each topic.
     messages: Counts,
@@ -172,7 +189,7 @@ struct Captured {
 
 /// The content of `--json` with `--once`.
 #[derive(Debug, Serialize)]
-struct State {
+pub struct State {
     port: String,
     identity: DeviceIdentity,
     settings: Settings,
@@ -203,7 +220,7 @@ impl From<AlarmStatus> for Alarms {
     }
 }
 
-fn once(args: &Args, device: &mut Device) -> anyhow::Result<()> {
+fn once(args: &Args, device: &mut Device, context: &Context<'_>) -> anyhow::Result<State> {
     let identity = device.identify()?;
     warn_of_development_build(&identity);
     let (settings, next_settings) = device.settings()?;
@@ -213,8 +230,8 @@ fn once(args: &Args, device: &mut Device) -> anyhow::Result<()> {
     let ticks = device.timing(false)?;
     let (port, line) = (args.port.to_string(), device.counters());
     let state = State { port, identity, settings, next_settings, alarms, audio, lease, ticks, line };
-    args.output.table(&table(&state));
-    args.output.finish(&state)
+    context.table(&table(&state));
+    Ok(state)
 }
 
 fn table(state: &State) -> Table {

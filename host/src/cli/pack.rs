@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use serde::Serialize;
 use shared::weights::decode;
 
-use super::controller_args::{image_id, image_of};
-use super::key_args::KeyArgs;
-use super::output::{OutputArgs, write};
+use crate::args::controller::{image_id, image_of};
+use crate::args::key::KeyArgs;
+use crate::command::{Command, Context, Output, OutputArgs, write};
 
 /// Pack a learned controller into the weights image for the chip
 #[derive(Debug, clap::Args)]
@@ -34,17 +34,25 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     id: String,
     bytes: usize,
     period_us: u32,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = args.key.signed(image_of(&args.controller)?)?;
-    let image = decode(&bytes)?;
-    write(&args.out, &bytes)?;
-    let id = image_id(image.id);
-    args.output.line(&format!("saved {}: {} bytes, id {id}", args.out.display(), bytes.len()));
-    args.output.finish(&Summary { id, bytes: bytes.len(), period_us: image.residual.spec().period_us })
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let bytes = self.key.signed(image_of(&self.controller)?)?;
+        let image = decode(&bytes)?;
+        write(&self.out, &bytes)?;
+        let id = image_id(image.id);
+        context.line(&format!("saved {}: {} bytes, id {id}", self.out.display(), bytes.len()));
+        Ok(Some(Summary { id, bytes: bytes.len(), period_us: image.residual.spec().period_us }))
+    }
 }

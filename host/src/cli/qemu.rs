@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use anyhow::bail;
 
-use super::common::{BenchArgs, stopped};
+use crate::args::bench::BenchArgs;
+use crate::command::{Command, Context};
 use emulator::{Emulator, EmulatorConfig, LockstepPlant, Paced};
 use plant::bench::BenchPlant;
 
@@ -57,21 +58,25 @@ impl ImageArgs {
     }
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bench = args.bench.one()?;
-    let config = EmulatorConfig { folder: args.folder.clone(), link: args.listen, ..args.images.board() };
-    let plant = LockstepPlant::new(BenchPlant::new(&bench)?);
-    let mut board = if args.fast {
-        Emulator::start(config, plant)?
-    } else {
-        Emulator::start(config, Paced::new(plant, PERIOD))?
-    };
-    println!("the board ventilates {}; connect to it with --port tcp:{}", bench.name, board.address());
-    while !stopped() {
-        if let Some(status) = board.exit_status()? {
-            bail!("QEMU ended with {status}: {}", board.log());
+impl Command for Args {
+    type Outcome = ();
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<()>> {
+        let bench = self.bench.one()?;
+        let config = EmulatorConfig { folder: self.folder.clone(), link: self.listen, ..self.images.board() };
+        let plant = LockstepPlant::new(BenchPlant::new(&bench)?);
+        let mut board = if self.fast {
+            Emulator::start(config, plant)?
+        } else {
+            Emulator::start(config, Paced::new(plant, PERIOD))?
+        };
+        println!("the board ventilates {}; connect to it with --port tcp:{}", bench.name, board.address());
+        while !context.stopped() {
+            if let Some(status) = board.exit_status()? {
+                bail!("QEMU ended with {status}: {}", board.log());
+            }
+            sleep(LOOK);
         }
-        sleep(LOOK);
+        Ok(None)
     }
-    Ok(())
 }

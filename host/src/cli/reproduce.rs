@@ -4,11 +4,10 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use super::bars::with_bars;
-use super::output::OutputArgs;
-use super::shard_args::ShardArgs;
+use crate::args::shards::ShardArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
 use paper::shards::Shards;
-use paper::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
+use paper::{Budget, Experiment, Reproduction, Results, headline, lungs_table, run as reproduce};
 use plant::bench::BenchConfig;
 
 /// Run the paper's experiments on nine lungs of the virtual bench and write a report
@@ -46,25 +45,37 @@ pub struct Args {
     output: OutputArgs,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let reproduction = Reproduction {
-        seed: args.seed,
-        budget: if args.quick { Budget::quick() } else { Budget::full() },
-        lungs: BenchConfig::paper_lungs(),
-        out: args.out.clone(),
-        only: if args.only.is_empty() { Experiment::value_variants().to_vec() } else { args.only.clone() },
-    };
-    if args.shards.divides() {
-        let work = Shards(&reproduction);
-        if args.shards.divided(&work, work.pieces(), &args.out, &args.output)?.is_none() {
-            return Ok(());
+impl Command for Args {
+    type Outcome = Results;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(self.shards.makes(&self.out))
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Results>> {
+        let reproduction = Reproduction {
+            seed: self.seed,
+            budget: if self.quick { Budget::quick() } else { Budget::full() },
+            lungs: BenchConfig::paper_lungs(),
+            out: self.out.clone(),
+            only: if self.only.is_empty() {
+                Experiment::value_variants().to_vec()
+            } else {
+                self.only.clone()
+            },
+        };
+        if self.shards.divides() {
+            let work = Shards(&reproduction);
+            if self.shards.divided(&work, work.pieces(), &self.out, context)?.is_none() {
+                return Ok(None);
+            }
         }
+        let results = context.progress(|progress| reproduce(&reproduction, progress))?;
+        if !results.lungs.is_empty() {
+            context.table(&lungs_table(&results));
+        }
+        context.line(&headline(&results));
+        context.line(&format!("report: {}", self.out.join("report.html").display()));
+        Ok(Some(results))
     }
-    let results = with_bars(|progress| reproduce(&reproduction, progress))?;
-    if !results.lungs.is_empty() {
-        args.output.table(&lungs_table(&results));
-    }
-    args.output.line(&headline(&results));
-    args.output.line(&format!("report: {}", args.out.join("report.html").display()));
-    args.output.finish(&results)
 }

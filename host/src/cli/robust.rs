@@ -2,16 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
-use campaign::Campaign;
+use anyhow::{Context as _, bail};
+use serde::Serialize;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::pid::PidGains;
 
-use super::common::stopped;
-use super::controller_args::{Chosen, ControllerArgs, format_gains};
-use super::output::{self, OutputArgs};
-use super::policy_args::{self, PolicyArgs, at};
-use super::shard_args::ShardFolderArgs;
+use crate::args::controller::{Chosen, ControllerArgs};
+use crate::args::gains::format_gains;
+use crate::args::policy::{PolicyArgs, account, at, check, print as print_account};
+use crate::args::shards::ShardFolderArgs;
+use crate::command::{Command, Context, Output, OutputArgs, write};
+use campaign::Campaign;
+use laws::policy::account::Account;
 use laws::policy::in_turns;
 use plant::bench::family::Family;
 use show::report::{Cell, Plot, Series, Style, Table};
@@ -85,26 +87,45 @@ pub struct Args {
     output: OutputArgs,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let family = Family::find(&args.family)?;
-    let chosen = chosen(args, &family)?;
-    if chosen.period_us != DEFAULT_PERIOD_US {
-        bail!(
-            "{} has a control period of {} us: choose one for {DEFAULT_PERIOD_US} us",
-            chosen.name,
-            chosen.period_us
-        );
+/// The content of `--json`, and the account of the policy.
+#[derive(Serialize)]
+pub struct Outcome {
+    #[serde(flatten)]
+    summary: Summary,
+    #[serde(skip)]
+    policy: Option<Account>,
+}
+
+impl Command for Args {
+    type Outcome = Outcome;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(self.shards.makes())
     }
-    let test = match args.policy.policy {
-        Some(_) => in_turns(|| test(args, &family, &chosen))??,
-        None => test(args, &family, &chosen)?,
-    };
-    let policy = policy_args::account(&chosen.controller);
-    policy_args::print(&args.output, policy.as_ref());
-    if let Some(test) = test {
-        conclude(args, &family, &test)?;
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
+        let family = Family::find(&self.family)?;
+        let chosen = chosen(self, &family)?;
+        if chosen.period_us != DEFAULT_PERIOD_US {
+            bail!(
+                "{} has a control period of {} us: choose one for {DEFAULT_PERIOD_US} us",
+                chosen.name,
+                chosen.period_us
+            );
+        }
+        let test = match self.policy.policy {
+            Some(_) => in_turns(|| test(self, &family, &chosen, context))??,
+            None => test(self, &family, &chosen, context)?,
+        };
+        let policy = account(&chosen.controller);
+        print_account(context, policy.as_ref());
+        let Some(test) = test else { return check(policy.as_ref()).map(|()| None) };
+        Ok(Some(Outcome { summary: shown(self, &family, &test, context)?, policy }))
     }
-    policy_args::check(policy.as_ref())
+
+    fn conclude(&self, outcome: Outcome, _context: &Context<'_>) -> anyhow::Result<()> {
+        check(outcome.policy.as_ref())
+    }
 }
 
 /// Whether results are kept, so that a later run continues with them.
@@ -129,29 +150,39 @@ fn chosen(args: &Args, family: &Family) -> anyhow::Result<Chosen> {
 }
 
 /// Prints and saves the results of all plants.
-fn conclude(args: &Args, family: &Family, test: &Campaign<Question, Tally>) -> anyhow::Result<()> {
+fn shown(
+    args: &Args,
+    family: &Family,
+    test: &Campaign<Question, Tally>,
+    context: &Context<'_>,
+) -> anyhow::Result<Summary> {
     let summary = Summary::of(test);
-    args.output.table(&table(&summary));
-    args.output.table(&failures(&summary));
-    args.output.table(&worst(&summary));
-    if stopped() {
-        args.output.line("stopped: the results are those of the plants so far");
+    context.table(&table(&summary));
+    context.table(&failures(&summary));
+    context.table(&worst(&summary));
+    if context.stopped() {
+        context.line("stopped: the results are those of the plants so far");
     }
     if let Some(folder) = &args.save_worst {
-        save_worst(args, folder, family, &summary)?;
+        save_worst(args, folder, family, &summary, context)?;
     }
     if let Some(folder) = &args.figures {
         create(folder)?;
-        output::write(&folder.join("ratios.svg"), ratios(&summary, test.sums()).to_svg()?.as_bytes())?;
-        output::write(&folder.join("breaths.svg"), by_breath(&summary).to_svg()?.as_bytes())?;
-        args.output.saved(folder);
+        write(&folder.join("ratios.svg"), ratios(&summary, test.sums()).to_svg()?.as_bytes())?;
+        write(&folder.join("breaths.svg"), by_breath(&summary).to_svg()?.as_bytes())?;
+        context.saved(folder);
     }
-    args.output.finish(&summary)
+    Ok(summary)
 }
 
 /// Runs the plants or a shard of them, or merges shards; none after a shard.
-fn test(args: &Args, family: &Family, chosen: &Chosen) -> anyhow::Result<Option<Campaign<Question, Tally>>> {
-    let Some(family_pid) = best_pid(args, family)? else {
+fn test(
+    args: &Args,
+    family: &Family,
+    chosen: &Chosen,
+    context: &Context<'_>,
+) -> anyhow::Result<Option<Campaign<Question, Tally>>> {
+    let Some(family_pid) = best_pid(args, family, context)? else {
         bail!("stopped before the family's PID was found; nothing was kept");
     };
     let question = Question {
@@ -163,25 +194,25 @@ fn test(args: &Args, family: &Family, chosen: &Chosen) -> anyhow::Result<Option<
         breaths: args.breaths,
         subset: args.subset,
     };
-    args.output.line(&format!("best single PID of the family: {}", format_gains(&question.family_pid)));
+    context.line(&format!("best single PID of the family: {}", format_gains(&question.family_pid)));
     let failure = || {
-        let failure = policy_args::account(&chosen.controller)?.failure.filter(|_| kept(args))?;
+        let failure = account(&chosen.controller)?.failure.filter(|_| kept(args))?;
         Some(format!(
             "the policy failed {}; start it again and repeat the command, which continues",
             at(&failure)
         ))
     };
     let work = Robustness { question, family, controller: &chosen.controller, failure: &failure };
-    args.shards.run(&work, args.plants.into(), args.keep.as_deref(), &args.output)
+    args.shards.run(&work, args.plants.into(), args.keep.as_deref(), context)
 }
 
 /// The family's PID; none if its search was stopped. Tasks that share a folder search it once.
-fn best_pid(args: &Args, family: &Family) -> anyhow::Result<Option<PidGains>> {
+fn best_pid(args: &Args, family: &Family, context: &Context<'_>) -> anyhow::Result<Option<PidGains>> {
     if family.pid.is_some() {
         return Ok(family.pid);
     }
     let question = (&family.name, family.draw(args.seed, 0), &family.pips, &family.settings);
-    Ok(args.shards.once("family-pid", &question, |progress| family_pid(family, progress))?)
+    Ok(args.shards.once("family-pid", &question, |progress| family_pid(family, progress), context)?)
 }
 
 /// The scored breaths.
@@ -256,13 +287,19 @@ fn worst(summary: &Summary) -> Table {
 }
 
 /// Writes the worst plants as bench descriptions, which other commands accept as `--bench`.
-fn save_worst(args: &Args, folder: &Path, family: &Family, summary: &Summary) -> anyhow::Result<()> {
+fn save_worst(
+    args: &Args,
+    folder: &Path,
+    family: &Family,
+    summary: &Summary,
+    context: &Context<'_>,
+) -> anyhow::Result<()> {
     create(folder)?;
     for plant in &summary.worst {
         let bench = family.draw(args.seed, plant.number);
-        output::write(&folder.join(format!("{}.toml", bench.name)), bench.to_toml().as_bytes())?;
+        write(&folder.join(format!("{}.toml", bench.name)), bench.to_toml().as_bytes())?;
     }
-    args.output.saved(folder);
+    context.saved(folder);
     Ok(())
 }
 

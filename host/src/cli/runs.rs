@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, ensure};
-use campaign::record::{Ending, Record, State};
+use anyhow::{Context as _, ensure};
 use serde::Serialize;
 
-use super::output::{OutputArgs, write};
+use crate::command::{Command, Context, Output, OutputArgs, write};
+use campaign::record::{Ending, Record, State};
 use experiments::runs::{
     Comparison, OptionDifference, Run, RunsError, check_figure, figure_names, find, listed, mlflow, named,
     plots, sort, tensorboard,
@@ -72,56 +72,66 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Serialize)]
-struct Summary<'a> {
-    runs: Vec<Listed<'a>>,
+pub struct Summary {
+    runs: Vec<Listed>,
     comparison: Option<Comparison>,
 }
 
 /// A run in `--json`.
 #[derive(Serialize)]
-struct Listed<'a> {
-    name: &'a str,
+pub struct Listed {
+    name: String,
     state: State,
     #[serde(flatten)]
-    record: &'a Record,
+    record: Record,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let runs = args.chosen()?;
-    let comparison = (!args.compare.is_empty()).then(|| Comparison::of(&runs));
-    let tables = match &comparison {
-        Some(comparison) => comparison_tables(comparison),
-        None => vec![list(&runs, &args.figure)],
-    };
-    for table in &tables {
-        args.output.table(table);
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
     }
-    for run in &runs {
-        if let Ending::Failed(error) = &run.record.ending {
-            args.output.line(&format!("{} failed: {error}", run.name));
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let runs = self.chosen()?;
+        let comparison = (!self.compare.is_empty()).then(|| Comparison::of(&runs));
+        let tables = match &comparison {
+            Some(comparison) => comparison_tables(comparison),
+            None => vec![list(&runs, &self.figure)],
+        };
+        for table in &tables {
+            context.table(table);
         }
-    }
-    if comparison.is_none() && args.figure.is_empty() {
-        let names = figure_names(&runs);
-        args.output.line(&format!("figures to show with --figure: {}", listed(names.into_iter())));
-    }
-    if let Some(file) = &args.plot {
-        write(file, Plot::stacked(&plots(&runs, &args.figure, args.x.as_deref())?)?.as_bytes())?;
-        args.output.saved(file);
-    }
-    args.output.report(args.report.as_ref(), || args.report(&runs, tables))?;
-    for (folder, export) in [(&args.mlflow, mlflow as fn(&[_], &_) -> _), (&args.tensorboard, tensorboard)] {
-        if let Some(folder) = folder {
-            export(&runs, folder)?;
-            args.output.line(&format!("exported {} run(s) to {}", runs.len(), folder.display()));
+        for run in &runs {
+            if let Ending::Failed(error) = &run.record.ending {
+                context.line(&format!("{} failed: {error}", run.name));
+            }
         }
+        if comparison.is_none() && self.figure.is_empty() {
+            let names = figure_names(&runs);
+            context.line(&format!("figures to show with --figure: {}", listed(names.into_iter())));
+        }
+        if let Some(file) = &self.plot {
+            write(file, Plot::stacked(&plots(&runs, &self.figure, self.x.as_deref())?)?.as_bytes())?;
+            context.saved(file);
+        }
+        context.report(self.report.as_ref(), || self.report(&runs, tables))?;
+        for (folder, export) in
+            [(&self.mlflow, mlflow as fn(&[_], &_) -> _), (&self.tensorboard, tensorboard)]
+        {
+            if let Some(folder) = folder {
+                export(&runs, folder)?;
+                context.line(&format!("exported {} run(s) to {}", runs.len(), folder.display()));
+            }
+        }
+        Ok(Some(Summary { runs: runs.into_iter().map(Listed::of).collect(), comparison }))
     }
-    args.output.finish(&Summary { runs: runs.iter().map(Listed::of).collect(), comparison })
 }
 
-impl<'a> Listed<'a> {
-    fn of(run: &'a Run) -> Self {
-        Self { name: &run.name, state: run.record.state(), record: &run.record }
+impl Listed {
+    fn of(run: Run) -> Self {
+        Self { name: run.name, state: run.record.state(), record: run.record }
     }
 }
 

@@ -4,8 +4,7 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::device::self_test::{Check, Outcome, Report, Step, StepResult};
 
-use super::common::stopped;
-use super::output::OutputArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
 use device::Device;
 use device::port::Address;
 use show::report::{Cell, Table};
@@ -41,7 +40,7 @@ pub struct Args {
 
 /// A row of `--json`.
 #[derive(Debug, Serialize)]
-struct Row {
+pub struct Row {
     step: &'static str,
     result: &'static str,
     reason: Option<String>,
@@ -72,21 +71,32 @@ impl Row {
     }
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let mut device = Device::connect(&args.port)?;
-    device.identify()?;
-    let checks = [(args.zero, Check::Zero), (args.circuit, Check::Circuit), (args.relief, Check::Relief)];
-    for (_, check) in checks.into_iter().filter(|(wanted, _)| *wanted) {
-        if !stopped() {
-            device.run_check(check)?;
-        }
+impl Command for Args {
+    type Outcome = Vec<Row>;
+
+    fn output(&self) -> Output<'_> {
+        self.output.json()
     }
-    let rows = rows(&device.self_test()?);
-    args.output.table(&table(&rows));
-    args.output.finish(&rows)?;
-    match rows.iter().find(|row| row.reason.is_some()) {
-        Some(Row { step, reason, .. }) => bail!("{step}: {}", reason.as_deref().unwrap_or_default()),
-        None => Ok(()),
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Vec<Row>>> {
+        let mut device = Device::connect(&self.port)?;
+        device.identify()?;
+        let checks = [(self.zero, Check::Zero), (self.circuit, Check::Circuit), (self.relief, Check::Relief)];
+        for (_, check) in checks.into_iter().filter(|(wanted, _)| *wanted) {
+            if !context.stopped() {
+                device.run_check(check)?;
+            }
+        }
+        let rows = rows(&device.self_test()?);
+        context.table(&table(&rows));
+        Ok(Some(rows))
+    }
+
+    fn conclude(&self, outcome: Vec<Row>, _context: &Context<'_>) -> anyhow::Result<()> {
+        match outcome.iter().find(|row| row.reason.is_some()) {
+            Some(Row { step, reason, .. }) => bail!("{step}: {}", reason.as_deref().unwrap_or_default()),
+            None => Ok(()),
+        }
     }
 }
 

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::Context as _;
 
-use super::common::{stopped, warn_of_development_build};
 use super::judge::{column_map, load};
+use crate::args::port::warn_of_development_build;
+use crate::command::{Command, Context};
 use bedside::demo;
 use bedside::replay;
 use bedside::server::{Options, Server};
@@ -67,30 +68,34 @@ pub struct Args {
 /// Interval between looks at Ctrl-C.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    // Nobody can be harmed by steering a simulated device.
-    let steer = args.steer || args.demo;
-    let options = Options { listen: args.listen, steer, demo: args.demo, folder: args.records.clone() };
-    let server = Server::start(watches(args)?, &options)?;
-    println!("{}", server.url());
-    if server.token().is_some() {
-        eprintln!("the part after # is the token: anyone who has it may {}", allowed(steer));
-    }
-    if server.is_reachable() {
-        let port = server.address().port();
-        eprintln!(
-            "warning: other computers reach this server, and nothing is encrypted: anyone who can read the network can read the token. \
+impl Command for Args {
+    type Outcome = ();
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<()>> {
+        // Nobody can be harmed by steering a simulated device.
+        let steer = self.steer || self.demo;
+        let options = Options { listen: self.listen, steer, demo: self.demo, folder: self.records.clone() };
+        let server = Server::start(watches(self, context)?, &options)?;
+        println!("{}", server.url());
+        if server.token().is_some() {
+            eprintln!("the part after # is the token: anyone who has it may {}", allowed(steer));
+        }
+        if server.is_reachable() {
+            let port = server.address().port();
+            eprintln!(
+                "warning: other computers reach this server, and nothing is encrypted: anyone who can read the network can read the token. \
              Safer: leave --listen out, and on the other computer use `ssh -L {port}:localhost:{port} THIS-COMPUTER`. \
              Without that, put this computer's address into the one above"
+            );
+        }
+        eprintln!(
+            "open this address in a browser; Ctrl-C ends the server; devices at a port keep running, simulated ones end"
         );
+        while !context.stopped() {
+            sleep(LOOK_EVERY);
+        }
+        Ok(None)
     }
-    eprintln!(
-        "open this address in a browser; Ctrl-C ends the server; devices at a port keep running, simulated ones end"
-    );
-    while !stopped() {
-        sleep(LOOK_EVERY);
-    }
-    Ok(())
 }
 
 /// What the token allows.
@@ -98,7 +103,7 @@ fn allowed(steer: bool) -> &'static str {
     if steer { "steer the devices" } else { "watch the devices" }
 }
 
-fn watches(args: &Args) -> anyhow::Result<Vec<Watch>> {
+fn watches(args: &Args, context: &Context<'_>) -> anyhow::Result<Vec<Watch>> {
     if args.demo {
         return Ok(demo::start()?);
     }
@@ -118,7 +123,7 @@ fn watches(args: &Args) -> anyhow::Result<Vec<Watch>> {
     }
     let map = args.map.as_deref().map(column_map).transpose()?;
     for path in &args.recording {
-        watches.push(replay::recording(&path.display().to_string(), &load(path, map.as_ref())?)?);
+        watches.push(replay::recording(&path.display().to_string(), &load(path, map.as_ref(), context)?)?);
     }
     for path in &args.blackbox {
         watches.extend(replay::blackbox(path)?);

@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context as _, bail};
 use clap::Parser;
 
-use super::bars::with_bars;
-use super::{Cli, Command};
+use super::Cli;
+use crate::command::{Command, Context, Makes, Program};
 use experiments::submit::parallel::Parallel;
 use experiments::submit::slurm::{Slurm, Submitted};
 use experiments::submit::{Job, SubmitError};
@@ -107,16 +107,9 @@ fn check(job: &Job) -> anyhow::Result<()> {
     let words = ["trainer"].into_iter().chain(job.arguments.iter().map(String::as_str));
     let out = job.out.to_string_lossy();
     let parsed = Cli::try_parse_from(words.clone().chain(["--shard", "0/1", "--out", &out]));
-    match parsed.map(|cli| cli.command) {
-        Ok(
-            Command::Torture(_)
-            | Command::Endure(_)
-            | Command::Robust(_)
-            | Command::TunePid(_)
-            | Command::Reproduce(_)
-            | Command::Sweep(_),
-        ) => Ok(()),
-        Ok(_) => bail!(
+    match parsed.map(|cli| cli.chosen().output().makes == Makes::Shard) {
+        Ok(true) => Ok(()),
+        Ok(false) => bail!(
             "`{}` cannot be divided into shards: torture, endure, robust, tune-pid, reproduce and sweep can",
             job.arguments[0]
         ),
@@ -128,28 +121,38 @@ fn check(job: &Job) -> anyhow::Result<()> {
     }
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    match &args.engine {
-        Engine::Slurm { common, option, detach } => {
-            let slurm = Slurm { options: option.clone(), retries: common.retries };
-            submit_to_slurm(&slurm, &common.job()?, common.dry_run, *detach)
-        }
-        Engine::Parallel { common, jobs } => {
-            let (parallel, job) = (Parallel { jobs: *jobs, retries: common.retries }, common.job()?);
-            if common.dry_run {
-                print!("{}", parallel.script(&job));
-                return Ok(());
+impl Command for Args {
+    type Outcome = ();
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<()>> {
+        match &self.engine {
+            Engine::Slurm { common, option, detach } => {
+                let slurm = Slurm { options: option.clone(), retries: common.retries };
+                submit_to_slurm(&slurm, &common.job()?, common.dry_run, *detach, context)?;
             }
-            let merged = with_bars(|progress| parallel.run(&job, progress));
-            if !shown(&job, merged)? {
-                println!("stopped; the same command continues with the shards that are not complete");
+            Engine::Parallel { common, jobs } => {
+                let (parallel, job) = (Parallel { jobs: *jobs, retries: common.retries }, common.job()?);
+                if common.dry_run {
+                    print!("{}", parallel.script(&job));
+                    return Ok(None);
+                }
+                let merged = context.progress(|progress| parallel.run(&job, progress));
+                if !shown(&job, merged)? {
+                    println!("stopped; the same command continues with the shards that are not complete");
+                }
             }
-            Ok(())
         }
+        Ok(None)
     }
 }
 
-fn submit_to_slurm(slurm: &Slurm, job: &Job, dry_run: bool, detach: bool) -> anyhow::Result<()> {
+fn submit_to_slurm(
+    slurm: &Slurm,
+    job: &Job,
+    dry_run: bool,
+    detach: bool,
+    context: &Context<'_>,
+) -> anyhow::Result<()> {
     if dry_run {
         let shards: Vec<u64> = (0..job.shards).collect();
         print!("# the array\n{}\n# after it\n{}", slurm.array_script(job, &shards), slurm.merge_script(job));
@@ -160,7 +163,7 @@ fn submit_to_slurm(slurm: &Slurm, job: &Job, dry_run: bool, detach: bool) -> any
         return Ok(());
     }
     let mut last = None;
-    let merged = with_bars(|progress| {
+    let merged = context.progress(|progress| {
         slurm.run(job, progress, &mut |jobs| {
             tell(job, jobs);
             last = Some(jobs.clone());

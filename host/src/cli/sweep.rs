@@ -2,14 +2,12 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
-use campaign::Campaign;
+use anyhow::Context as _;
 use serde::Serialize;
 
-use super::bars::with_bars;
-use super::common::stopped;
-use super::output::OutputArgs;
-use super::shard_args::ShardArgs;
+use crate::args::shards::ShardArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
+use campaign::Campaign;
 use experiments::sweep::{RunResult, RunResults, Sweep, SweepWork, in_words};
 use show::report::{Cell, Table};
 
@@ -47,32 +45,41 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Serialize)]
-struct Summary<'a> {
+pub struct Summary {
     #[serde(flatten)]
-    sweep: &'a Sweep,
-    runs: Vec<&'a RunResult>,
+    sweep: Sweep,
+    runs: Vec<RunResult>,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let sweep = Sweep::load(&args.file)?;
-    let program = std::env::current_exe().context("cannot find the path of this program")?;
-    let work = SweepWork { sweep: &sweep, program, out: args.out.clone() };
-    let campaign = if args.shards.divides() {
-        let Some(merged) = args.shards.divided(&work, sweep.runs(), &args.out, &args.output)? else {
-            return Ok(());
-        };
-        merged
-    } else {
-        let keep = args.out.join("sweep.json");
-        let mut campaign = Campaign::new(&work).resumed(&keep)?;
-        with_bars(|progress| campaign.advance(&work, sweep.runs(), Some(&keep), progress))?;
-        campaign
-    };
-    args.output.table(&table(&sweep, campaign.sums()));
-    if stopped() {
-        args.output.line("stopped; the same command continues from here");
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(self.shards.makes(&self.out))
     }
-    args.output.finish(&Summary { sweep: &sweep, runs: campaign.sums().0.values().collect() })
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let sweep = Sweep::load(&self.file)?;
+        let program = std::env::current_exe().context("cannot find the path of this program")?;
+        let work = SweepWork { sweep: &sweep, program, out: self.out.clone() };
+        let campaign = if self.shards.divides() {
+            let Some(merged) = self.shards.divided(&work, sweep.runs(), &self.out, context)? else {
+                return Ok(None);
+            };
+            merged
+        } else {
+            let keep = self.out.join("sweep.json");
+            let mut campaign = Campaign::new(&work).resumed(&keep)?;
+            context.progress(|progress| campaign.advance(&work, sweep.runs(), Some(&keep), progress))?;
+            campaign
+        };
+        context.table(&table(&sweep, campaign.sums()));
+        if context.stopped() {
+            context.line("stopped; the same command continues from here");
+        }
+        let runs = campaign.sums().0.values().cloned().collect();
+        Ok(Some(Summary { sweep, runs }))
+    }
 }
 
 /// A row for every run. No best value is marked, because a figure may be an error or a share.

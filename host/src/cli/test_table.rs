@@ -7,12 +7,10 @@ use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, ISO_ROWS, IsoRow};
 use shared::control::Controller;
 
-use super::bars::with_bars;
-use super::controller_args::learned;
-use super::output::OutputArgs;
+use crate::args::controller::learned;
+use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use plant::bench::{BenchConfig, is_neonatal};
-use progress::Stage;
-use score::evaluate::plateau_tolerance;
+use score::evaluate::{EVALUATE, plateau_tolerance};
 use show::report::{Cell, Table};
 use trials::test_table::{MOST_OVERSHOOT, Outcome, outcome};
 
@@ -46,7 +44,7 @@ pub struct Args {
 
 /// A row and its result, for `--json`.
 #[derive(Debug, Serialize)]
-struct RowResult {
+pub struct RowResult {
     row: u8,
     resistance: f32,
     compliance: f32,
@@ -61,28 +59,39 @@ struct RowResult {
     pass: bool,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let adult = controller(&args.adult)?;
-    let neonate = controller(&args.neonate)?;
-    let benches = BenchConfig::iso_matched();
-    let rows: Vec<RowResult> = with_bars(|progress| {
-        let task = progress.task(Stage::Evaluate, benches.len());
-        let rows = ISO_ROWS.iter().zip(&benches).map(|(row, bench)| {
-            let newborn = is_neonatal(row);
-            let controller = if newborn { &neonate } else { &adult };
-            let result = row_result(row, newborn, outcome(row, bench, controller, args.seed)?);
-            task.advance(1);
-            Ok(result)
-        });
-        rows.collect::<anyhow::Result<_>>()
-    })?;
-    args.output.table(&table(&rows));
-    args.output.finish(&rows)?;
-    let failed = rows.iter().filter(|row| !row.pass).count();
-    if failed > 0 {
-        bail!("{failed} of {} rows fail", rows.len());
+impl Command for Args {
+    type Outcome = Vec<RowResult>;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Experiment)
     }
-    Ok(())
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Vec<RowResult>>> {
+        let adult = controller(&self.adult)?;
+        let neonate = controller(&self.neonate)?;
+        let benches = BenchConfig::iso_matched();
+        let rows: Vec<RowResult> = context.progress(|progress| {
+            let task = progress.task(EVALUATE, benches.len());
+            let rows = ISO_ROWS.iter().zip(&benches).map(|(row, bench)| {
+                let newborn = is_neonatal(row);
+                let controller = if newborn { &neonate } else { &adult };
+                let result = row_result(row, newborn, outcome(row, bench, controller, self.seed)?);
+                task.advance(1);
+                Ok(result)
+            });
+            rows.collect::<anyhow::Result<_>>()
+        })?;
+        context.table(&table(&rows));
+        Ok(Some(rows))
+    }
+
+    fn conclude(&self, outcome: Vec<RowResult>, _context: &Context<'_>) -> anyhow::Result<()> {
+        let failed = outcome.iter().filter(|row| !row.pass).count();
+        if failed > 0 {
+            bail!("{failed} of {} rows fail", outcome.len());
+        }
+        Ok(())
+    }
 }
 
 /// The learned controller with this name or in this file.

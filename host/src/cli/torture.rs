@@ -4,9 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 
-use super::common::stopped;
-use super::output::OutputArgs;
-use super::shard_args::ShardFolderArgs;
+use crate::args::shards::ShardFolderArgs;
+use crate::command::{Command, Context, Output, OutputArgs};
 use trials::faults::cases::LIMIT;
 use trials::faults::torture::{BREATHS_PER_RUN, Peaks, Summary, Torture};
 
@@ -42,24 +41,42 @@ pub struct Args {
     output: OutputArgs,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let torture = Torture { seed: args.seed, limit: args.limit };
-    let runs = args.breaths.div_ceil(BREATHS_PER_RUN);
-    let Some(found) = args.shards.run(&torture, runs, args.keep.as_deref(), &args.output)? else {
-        return Ok(());
-    };
-    let found = Summary::of(&found);
-    let Summary { breaths, peaks: Peaks { peak_true, worst_run, above_limit, latched }, .. } = found;
-    args.output.line(&format!(
-        "{breaths} breaths: highest true airway pressure {peak_true:.1} cmH2O (run {worst_run}); \
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(self.shards.makes())
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let torture = self.torture();
+        let runs = self.breaths.div_ceil(BREATHS_PER_RUN);
+        let Some(found) = self.shards.run(&torture, runs, self.keep.as_deref(), context)? else {
+            return Ok(None);
+        };
+        let found = Summary::of(&found);
+        let Summary { breaths, peaks: Peaks { peak_true, worst_run, latched, .. }, .. } = found;
+        context.line(&format!(
+            "{breaths} breaths: highest true airway pressure {peak_true:.1} cmH2O (run {worst_run}); \
          {latched} runs ended in the safe state"
-    ));
-    args.output.finish(&found)?;
-    if stopped() {
-        args.output.line("stopped; if started with --keep, the same command continues from here");
+        ));
+        if context.stopped() {
+            context.line("stopped; if started with --keep, the same command continues from here");
+        }
+        Ok(Some(found))
     }
-    if above_limit > 0 {
-        bail!("{above_limit} runs exceeded {} cmH2O", torture.bound());
+
+    fn conclude(&self, outcome: Summary, _context: &Context<'_>) -> anyhow::Result<()> {
+        let above_limit = outcome.peaks.above_limit;
+        if above_limit > 0 {
+            bail!("{above_limit} runs exceeded {} cmH2O", self.torture().bound());
+        }
+        Ok(())
     }
-    Ok(())
+}
+
+impl Args {
+    fn torture(&self) -> Torture {
+        Torture { seed: self.seed, limit: self.limit }
+    }
 }

@@ -9,13 +9,14 @@ use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
 use shared::weights::decode;
 
-use super::bars::with_bars;
-use super::common::{BenchArgs, Preset, gains};
-use super::controller_args::image_id;
-use super::key_args::KeyArgs;
-use super::output::{OutputArgs, write};
-use super::plant_args::{self, PlantArgs};
-use super::settings_args::SettingsArgs;
+use crate::args::bench::BenchArgs;
+use crate::args::controller::image_id;
+use crate::args::gains::gains;
+use crate::args::key::KeyArgs;
+use crate::args::plant::{PlantArgs, period_us};
+use crate::args::preset::Preset;
+use crate::args::settings::SettingsArgs;
+use crate::command::{Command, Context, Makes, Output, OutputArgs, write};
 use learn::controller::authors::{AuthorsController, ERROR_SPACING_MAX_US};
 use learn::controller::learned::Learned;
 use learn::controller::{ControllerArchitecture, CurvePoint, TrainConfig, Trainable, Weighting};
@@ -166,10 +167,16 @@ pub struct ResultArgs {
 
 impl ResultArgs {
     /// Saves a controller, with its signed weights image if there is a key, and returns its scores.
-    pub fn saved(&self, learned: &Learned, improved: bool, complete: bool) -> anyhow::Result<Summary> {
+    pub fn saved(
+        &self,
+        learned: &Learned,
+        improved: bool,
+        complete: bool,
+        context: &Context<'_>,
+    ) -> anyhow::Result<Summary> {
         let summary = self.kept(learned, improved, complete)?;
         if self.key.key.is_some() {
-            self.packed(learned)?;
+            self.packed(learned, context)?;
         }
         Ok(summary)
     }
@@ -196,36 +203,34 @@ impl ResultArgs {
     }
 
     /// Writes the weights image of a controller, signed if there is a key; returns its path and id.
-    pub fn packed(&self, learned: &Learned) -> anyhow::Result<(PathBuf, String)> {
+    pub fn packed(&self, learned: &Learned, context: &Context<'_>) -> anyhow::Result<(PathBuf, String)> {
         let weights = self.out.join(WEIGHTS);
         let image = self.key.signed(learned.image()?)?;
         write(&weights, &image)?;
-        self.output.saved(&weights);
+        context.saved(&weights);
         Ok((weights, image_id(decode(&image)?.id)))
     }
 
     /// The result of a training on simulators.
-    pub fn once(&self, trained: TrainedOnce) -> anyhow::Result<Summary> {
-        let summary = self.saved(&trained.learned, trained.improved, trained.complete)?;
+    pub fn once(&self, trained: TrainedOnce, context: &Context<'_>) -> anyhow::Result<Summary> {
+        let summary = self.saved(&trained.learned, trained.improved, trained.complete, context)?;
         Ok(Summary { train_curve: trained.curve, ..summary })
     }
 
-    /// Prints the scores, `on` what they are scored, and writes the summary.
-    pub fn finish(&self, on: &str, summary: &Summary) -> anyhow::Result<()> {
-        self.output.line(&format!(
+    /// Prints the scores, `on` what they are scored.
+    pub fn show(&self, on: &str, summary: &Summary, context: &Context<'_>) {
+        context.line(&format!(
             "{on}: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
             summary.validation,
             summary.base,
             summary.controller.display()
         ));
         if !summary.improved {
-            self.output.line("The residual did not beat its PID there, so the PID alone was kept.");
+            context.line("The residual did not beat its PID there, so the PID alone was kept.");
         }
         if !summary.complete {
-            self.output
-                .line("Stopped early: this is the controller so far. Run the command again to continue.");
+            context.line("Stopped early: this is the controller so far. Run the command again to continue.");
         }
-        self.output.finish(summary)
     }
 }
 
@@ -234,28 +239,38 @@ pub const CONTROLLER: &str = "controller.safetensors";
 /// File name of the signed weights image in the folder.
 const WEIGHTS: &str = "weights.bin";
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let plant = args.plant.connect()?;
-    let simulators: Vec<Simulator> =
-        args.simulator.iter().map(|path| Simulator::load(path)).collect::<Result<_, _>>()?;
-    let config = args.config(args.period_us(plant.as_ref(), &simulators)?)?;
-    let result = &args.result;
-    let summary = match config.controller {
-        ControllerArchitecture::Ours => {
-            let trained = args.trained(&config, plant.as_ref(), &simulators)?;
-            let scores = result.saved(&trained.learned, trained.improved, trained.complete)?;
-            trained.summary(scores)
-        }
-        ControllerArchitecture::Authors { .. } => {
-            if result.key.key.is_some() {
-                bail!("--key signs weights images, and no image holds the authors' network: omit --key");
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.result.output.makes(Makes::Folder(&self.result.out))
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let plant = self.plant.connect()?;
+        let simulators: Vec<Simulator> =
+            self.simulator.iter().map(|path| Simulator::load(path)).collect::<Result<_, _>>()?;
+        let config = self.config(self.period_us(plant.as_ref(), &simulators)?)?;
+        let result = &self.result;
+        let summary = match config.controller {
+            ControllerArchitecture::Ours => {
+                let trained = self.trained(&config, plant.as_ref(), &simulators, context)?;
+                let scores = result.saved(&trained.learned, trained.improved, trained.complete, context)?;
+                trained.summary(scores)
             }
-            let trained = args.trained::<AuthorsController>(&config, plant.as_ref(), &simulators)?;
-            let scores = result.kept(&trained.learned, trained.improved, trained.complete)?;
-            trained.summary(scores)
-        }
-    };
-    result.finish("held-out simulator", &summary)
+            ControllerArchitecture::Authors { .. } => {
+                if result.key.key.is_some() {
+                    bail!("--key signs weights images, and no image holds the authors' network: omit --key");
+                }
+                let trained =
+                    self.trained::<AuthorsController>(&config, plant.as_ref(), &simulators, context)?;
+                let scores = result.kept(&trained.learned, trained.improved, trained.complete)?;
+                trained.summary(scores)
+            }
+        };
+        result.show("held-out simulator", &summary, context);
+        Ok(Some(summary))
+    }
 }
 
 fn temperature(text: &str) -> Result<f64, String> {
@@ -274,7 +289,7 @@ impl Args {
             (Some(asked), Some(preset)) if asked != preset => {
                 bail!("the preset's control period is {preset} us, not {asked}: omit --period-us or --preset")
             }
-            (asked, preset) => plant_args::period_us(asked.or(preset).or(of_simulators), plant),
+            (asked, preset) => period_us(asked.or(preset).or(of_simulators), plant),
         }
     }
 
@@ -337,23 +352,29 @@ impl Args {
         config: &PipelineConfig,
         plant: Option<&SharedLink>,
         simulators: &[Simulator],
+        context: &Context<'_>,
     ) -> anyhow::Result<Training<C>> {
-        if simulators.is_empty() { self.rounds(config, plant) } else { self.once(config, simulators) }
+        if simulators.is_empty() {
+            self.rounds(config, plant, context)
+        } else {
+            self.once(config, simulators, context)
+        }
     }
 
     fn rounds<C: Trainable>(
         &self,
         config: &PipelineConfig,
         plant: Option<&SharedLink>,
+        context: &Context<'_>,
     ) -> anyhow::Result<Training<C>> {
         let folder = Folder::new(&self.result.out);
         let outcome = if let Some(link) = plant {
-            with_bars(|progress| run_on_plant(config, link, Some(&folder), progress))
+            context.progress(|progress| run_on_plant(config, link, Some(&folder), progress))
         } else {
             let benches = self.bench.benches()?;
-            with_bars(|progress| run_on_benches_as(config, &benches, Some(&folder), progress))
+            context.progress(|progress| run_on_benches_as(config, &benches, Some(&folder), progress))
         }?;
-        self.result.output.table(&rounds_table(&outcome.rounds));
+        context.table(&rounds_table(&outcome.rounds));
         Ok(Training {
             improved: outcome.rounds.last().is_some_and(|round| round.improved),
             learned: outcome.learned,
@@ -367,9 +388,11 @@ impl Args {
         &self,
         config: &PipelineConfig,
         simulators: &[Simulator],
+        context: &Context<'_>,
     ) -> anyhow::Result<Training<C>> {
         let folder = Folder::new(&self.result.out);
-        let trained = with_bars(|progress| train_on_simulators(config, simulators, &folder, progress))
+        let trained = context
+            .progress(|progress| train_on_simulators(config, simulators, &folder, progress))
             .map_err(|error| match error {
                 PipelineError::Simulator { number, reason } => {
                     anyhow!("{} {reason}", self.simulator[number - 1].display())

@@ -2,10 +2,9 @@
 
 use shared::control::pid::PidGains;
 
-use super::bars::with_bars;
-use super::common::gains;
-use super::controller_args::format_gains;
-use super::train::ResultArgs;
+use super::train::{ResultArgs, Summary};
+use crate::args::gains::{format_gains, gains};
+use crate::command::{Command, Context, Makes, Output};
 use learn::pipeline::Folder;
 use learn::pipeline::family::FamilyRun;
 use plant::bench::family::Family;
@@ -55,13 +54,22 @@ pub struct Args {
     result: ResultArgs,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let family = Family::find(&args.family)?;
-    let folder = Folder::new(&args.result.out);
-    let config = args.config(&family);
-    let trained = with_bars(|progress| config.run(&family, Some(&folder), progress))?;
-    let summary = args.result.once(trained)?;
-    args.result.finish("validation units, geometric mean over the first breaths", &summary)
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.result.output.makes(Makes::Folder(&self.result.out))
+    }
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let family = Family::find(&self.family)?;
+        let folder = Folder::new(&self.result.out);
+        let config = self.config(&family);
+        let trained = context.progress(|progress| config.run(&family, Some(&folder), progress))?;
+        let summary = self.result.once(trained, context)?;
+        self.result.show("validation units, geometric mean over the first breaths", &summary, context);
+        Ok(Some(summary))
+    }
 }
 
 /// Parses a number of at least 0.

@@ -8,13 +8,12 @@ use shared::breath::PAPER_PIPS;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use super::bars::with_bars;
-use super::common::benches;
-use super::controller_args::format_gains;
-use super::output::OutputArgs;
-use super::plant_args::{self, PlantArgs};
-use super::settings_args::SettingsArgs;
-use super::shard_args::{ShardArgs, ShardFolderArgs};
+use crate::args::bench::benches;
+use crate::args::gains::format_gains;
+use crate::args::plant::{PlantArgs, period_us};
+use crate::args::settings::SettingsArgs;
+use crate::args::shards::{ShardArgs, ShardFolderArgs};
+use crate::command::{Command, Context, Output, OutputArgs};
 use data::provenance::Provenance;
 use plant::bench::BenchConfig;
 use score::baselines::{
@@ -83,35 +82,46 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary<'a> {
+pub struct Summary {
     seed: u64,
-    plan: &'a Plan,
+    plan: Plan,
     #[serde(flatten)]
-    result: &'a TuneResult,
+    result: TuneResult,
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let plant = args.plant.connect()?;
-    let search = search(args);
-    let plan = Plan {
-        period_us: plant_args::period_us(args.period_us, plant.as_ref())?,
-        pips: args.pips.clone(),
-        breaths: args.breaths,
-        settings: args.settings.checked(&args.pips)?,
-        ..Plan::tuning(args.seed)
-    };
-    if let Some(link) = plant {
-        ensure!(args.shards.folder().is_none(), "a plant behind a link serves one search: leave out --out");
-        // Every evaluation sets its own gains.
-        let idle = Controller::Pid(Pid::new(PidGains::default(), plan.period_us)?);
-        let source = PlantSource::new(link, idle, plan.period_us, args.seed);
-        return tune(args, &[SourceGround::new(source)], "", &search, &plan);
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(self.shards.makes())
     }
-    let benches = benches(&args.lung, &args.bench)?;
-    if let Some((out, shards)) = args.shards.folder() {
-        return divided(args, shards, out, &PidSearch { lungs: benches, search, plan });
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let plant = self.plant.connect()?;
+        let search = search(self);
+        let plan = Plan {
+            period_us: period_us(self.period_us, plant.as_ref())?,
+            pips: self.pips.clone(),
+            breaths: self.breaths,
+            settings: self.settings.checked(&self.pips)?,
+            ..Plan::tuning(self.seed)
+        };
+        if let Some(link) = plant {
+            ensure!(
+                self.shards.folder().is_none(),
+                "a plant behind a link serves one search: leave out --out"
+            );
+            // Every evaluation sets its own gains.
+            let idle = Controller::Pid(Pid::new(PidGains::default(), plan.period_us)?);
+            let source = PlantSource::new(link, idle, plan.period_us, self.seed);
+            return tune(self, &[SourceGround::new(source)], "", (search, plan), context).map(Some);
+        }
+        let benches = benches(&self.lung, &self.bench)?;
+        if let Some((out, shards)) = self.shards.folder() {
+            return divided(self, shards, out, &PidSearch { lungs: benches, search, plan }, context);
+        }
+        tune(self, &benches, &parameters(&benches), (search, plan), context).map(Some)
     }
-    tune(args, &benches, &parameters(&benches), &search, &plan)
 }
 
 /// Parameters of all lungs, for the report.
@@ -124,36 +134,42 @@ fn tune<G: Ground>(
     args: &Args,
     lungs: &[G],
     parameters: &str,
-    search: &Search,
-    plan: &Plan,
-) -> anyhow::Result<()> {
-    let result = with_bars(|progress| tune_pid(lungs, search, plan, progress))?;
-    show(args, parameters, search, plan, &result)
+    (search, plan): (Search, Plan),
+    context: &Context<'_>,
+) -> anyhow::Result<Summary> {
+    let result = context.progress(|progress| tune_pid(lungs, &search, &plan, progress))?;
+    show(args, parameters, (&search, plan), result, context)
 }
 
 /// Searches a shard of the lungs; or merges the shards, searches the best PID over all lungs, and prints and writes the results.
-fn divided(args: &Args, shards: &ShardArgs, out: &Path, work: &PidSearch) -> anyhow::Result<()> {
-    let Some(known) = shards.divided(work, work.lungs.len() as u64, out, &args.output)? else {
-        return Ok(());
+fn divided(
+    args: &Args,
+    shards: &ShardArgs,
+    out: &Path,
+    work: &PidSearch,
+    context: &Context<'_>,
+) -> anyhow::Result<Option<Summary>> {
+    let Some(known) = shards.divided(work, work.lungs.len() as u64, out, context)? else {
+        return Ok(None);
     };
-    let result = with_bars(|progress| work.finish(known.sums(), progress))?;
-    show(args, &parameters(&work.lungs), &work.search, &work.plan, &result)
+    let result = context.progress(|progress| work.finish(known.sums(), progress))?;
+    show(args, &parameters(&work.lungs), (&work.search, work.plan.clone()), result, context).map(Some)
 }
 
 /// Prints and writes the results.
 fn show(
     args: &Args,
     parameters: &str,
-    search: &Search,
-    plan: &Plan,
-    result: &TuneResult,
-) -> anyhow::Result<()> {
-    args.output.table(&table(result));
+    (search, plan): (&Search, Plan),
+    result: TuneResult,
+    context: &Context<'_>,
+) -> anyhow::Result<Summary> {
+    context.table(&table(&result));
     if !result.complete {
-        args.output.line("stopped: the best gains found so far");
+        context.line("stopped: the best gains found so far");
     }
-    args.output.report(args.report.as_ref(), || Ok(report(args, plan, parameters, search, result)))?;
-    args.output.finish(&Summary { seed: args.seed, plan, result })
+    context.report(args.report.as_ref(), || Ok(report(args, &plan, parameters, search, &result)))?;
+    Ok(Summary { seed: args.seed, plan, result })
 }
 
 fn search(args: &Args) -> Search {

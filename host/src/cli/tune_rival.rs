@@ -4,10 +4,9 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::bars::with_bars;
-use super::common::benches;
-use super::controller_args::rival_names;
-use super::output::OutputArgs;
+use crate::args::bench::benches;
+use crate::args::controller::rival_names;
+use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use laws::rivals::Rival;
 use laws::rivals::tuning::{Tuned, TuningPlan, tune};
 use plant::bench::family::Family;
@@ -55,42 +54,50 @@ pub struct Args {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary<'a> {
+pub struct Summary {
     rival: &'static str,
     /// Names of the parameters, in the order of the values.
     parameters: Vec<&'static str>,
     runs: usize,
     #[serde(flatten)]
-    tuned: &'a Tuned,
+    tuned: Tuned,
 }
 
 fn rival(name: &str) -> Result<Rival, String> {
     Rival::find(name).ok_or_else(|| format!("there is no such rival: choose {}", rival_names()))
 }
 
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let rival = args.rival;
-    let plan = if args.lung.is_empty() && args.bench.is_empty() {
-        TuningPlan::of_family(&Family::find(&args.family)?, rival)
-    } else {
-        TuningPlan::of_benches(&benches(&args.lung, &args.bench)?, rival)?
-    };
-    let tuned = with_bars(|progress| tune(rival, &plan, progress))?;
-    args.output.table(&table(rival, &tuned));
-    let values: Vec<String> = tuned.values.iter().map(ToString::to_string).collect();
-    args.output.line(&format!("--controller {} --parameters {}", rival.name(), values.join(",")));
-    args.output.line(&format!(
-        "mean error {:.3} cmH2O over {} plants and waveforms and {} breaths each{}",
-        tuned.score,
-        plan.runs(),
-        rival.breaths_tuned(),
-        first_and_last(&tuned.by_breath)
-    ));
-    if !tuned.complete {
-        args.output.line("stopped: the best parameters found so far");
+impl Command for Args {
+    type Outcome = Summary;
+
+    fn output(&self) -> Output<'_> {
+        self.output.makes(Makes::Experiment)
     }
-    let parameters = rival.parameters().iter().map(|parameter| parameter.name).collect();
-    args.output.finish(&Summary { rival: rival.name(), parameters, runs: plan.runs(), tuned: &tuned })
+
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let rival = self.rival;
+        let plan = if self.lung.is_empty() && self.bench.is_empty() {
+            TuningPlan::of_family(&Family::find(&self.family)?, rival)
+        } else {
+            TuningPlan::of_benches(&benches(&self.lung, &self.bench)?, rival)?
+        };
+        let tuned = context.progress(|progress| tune(rival, &plan, progress))?;
+        context.table(&table(rival, &tuned));
+        let values: Vec<String> = tuned.values.iter().map(ToString::to_string).collect();
+        context.line(&format!("--controller {} --parameters {}", rival.name(), values.join(",")));
+        context.line(&format!(
+            "mean error {:.3} cmH2O over {} plants and waveforms and {} breaths each{}",
+            tuned.score,
+            plan.runs(),
+            rival.breaths_tuned(),
+            first_and_last(&tuned.by_breath)
+        ));
+        if !tuned.complete {
+            context.line("stopped: the best parameters found so far");
+        }
+        let parameters = rival.parameters().iter().map(|parameter| parameter.name).collect();
+        Ok(Some(Summary { rival: rival.name(), parameters, runs: plan.runs(), tuned }))
+    }
 }
 
 /// The errors of the first and the last breath, as the end of a sentence.

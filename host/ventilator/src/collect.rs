@@ -17,6 +17,9 @@ use data::provenance::Provenance;
 use data::recording::{DatasetError, Extra, Recording, Row, phase_number};
 use progress::{Progress, Stage};
 
+/// Recording: complete breaths.
+pub const COLLECT: Stage = Stage("collect breaths");
+
 /// Columns that only a bench fills; unused ones are removed at the end.
 const TRUTH: [Extra; 2] = [Extra::PressureTrue, Extra::PressureSensorTrue];
 
@@ -196,7 +199,7 @@ pub fn collect_from<C: Clone>(
     let plan = plan(config);
     let Position { mut breaths, mut aborts, sessions } = from;
     let exploration = |aborts: usize| exploration(config, u64::from(sessions) << 16 | aborts as u64);
-    let task = progress.task(Stage::Collect, config.breaths);
+    let task = progress.task(COLLECT, config.breaths);
     task.reach(breaths);
     if breaths >= config.breaths {
         return Ok(());

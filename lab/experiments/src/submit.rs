@@ -19,6 +19,9 @@ use campaign::record::Ending;
 use campaign::shards::{RunFolder, ShardState};
 use data::files::write_atomically;
 
+/// Tasks of an engine: shards.
+pub const SHARDS: Stage = Stage("run shards");
+
 /// Time between the first two looks at the engine and the run's folder, and the longest one.
 const LOOK_AFTER: Duration = Duration::from_millis(200);
 const LOOK_AFTER_AT_MOST: Duration = Duration::from_secs(15);
@@ -132,7 +135,7 @@ impl Job {
         progress: &Progress<'_>,
         mut ended: impl FnMut() -> Result<bool, SubmitError>,
     ) -> Result<(), SubmitError> {
-        let task = progress.task(Stage::Shards, self.shards as usize);
+        let task = progress.task(SHARDS, self.shards as usize);
         let mut pause = LOOK_AFTER;
         loop {
             let over = ended()?;

@@ -16,6 +16,9 @@ use thiserror::Error;
 use data::files::read_json;
 use progress::{Stage, Task};
 
+/// A sweep over options: runs.
+pub const SWEEP: Stage = Stage("run the sweep");
+
 /// Why a sweep cannot be run.
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the messages name every field")]
@@ -173,7 +176,7 @@ impl Work for SweepWork<'_> {
     }
 
     fn stage(&self) -> (Stage, f64) {
-        (Stage::Sweep, 1.0)
+        (SWEEP, 1.0)
     }
 
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<RunResult>, SweepError> {

@@ -30,7 +30,10 @@ use plant::bench::{BenchConfig, BenchError};
 use progress::{Progress, Stage, Task};
 use residual_gain::ResidualGain;
 use response::{Loop, ResponsePoint, Sweep};
-use stability::Margins;
+use stability::{Margins, Required};
+
+/// Measuring stability margins: operating points.
+pub const MARGINS: Stage = Stage("measure loops");
 
 /// Time in which a loop comes to rest, s: six time constants of the slowest lung of the adult family.
 const SETTLE_S: f64 = 20.0;
@@ -81,6 +84,31 @@ pub struct PidMargins {
     pub residual: ResidualGain,
 }
 
+/// The margins of several plants together.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Overall {
+    /// Share of the plants that keep the required margins.
+    pub share_robust: f64,
+    /// The worst margins of all plants; none if a loop oscillates by itself.
+    pub worst: Option<Margins>,
+    /// The residual's largest gain on all plants.
+    pub residual: Option<ResidualGain>,
+}
+
+impl Overall {
+    /// That of these plants.
+    pub fn of(plants: &[PlantMargins], required: &Required) -> Self {
+        let robust = plants.iter().filter(|plant| plant.worst.is_some_and(|worst| worst.keeps(required)));
+        let worst: Option<Vec<Margins>> = plants.iter().map(|plant| plant.worst).collect();
+        let gains = plants.iter().filter_map(|plant| plant.pid.as_ref().map(|pid| pid.residual));
+        Self {
+            share_robust: robust.count() as f64 / plants.len().max(1) as f64,
+            worst: worst.and_then(|all| all.into_iter().reduce(|one, other| one.worst(&other))),
+            residual: gains.reduce(|one, other| one.worst(&other)),
+        }
+    }
+}
+
 /// What is measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Question {
@@ -107,7 +135,7 @@ pub fn measure<C: ControlLaw + Sync>(
 where
     C::State: Clone,
 {
-    let task = progress.task(Stage::Margins, plants.len() * PAPER_PIPS.len());
+    let task = progress.task(MARGINS, plants.len() * PAPER_PIPS.len());
     let plants: Result<Vec<_>, BenchError> =
         plants.par_iter().map(|plant| measure_plant(plant, law, residual, question, &task)).collect();
     Ok(plants?.into_iter().flatten().collect())

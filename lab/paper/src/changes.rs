@@ -7,8 +7,7 @@ use super::study::Study;
 use super::{generalist, rivals};
 use crate::error::Result;
 use plant::bench::{BenchConfig, PatientConfig};
-use progress::Stage;
-use score::evaluate::InspirationRecord;
+use score::evaluate::{EVALUATE, InspirationRecord};
 use ventilator::{BenchSource, Source};
 
 /// Number of breaths before the change, and from the change on.
@@ -54,7 +53,7 @@ pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>> {
             ("C 20 to 10", 1.0, 0.5),
             ("C 20 to 50", 1.0, 2.5),
         ];
-        let task = study.progress.of("changes").task(Stage::Evaluate, cases.len());
+        let task = study.progress.of("changes").task(EVALUATE, cases.len());
         cases
             .iter()
             .map(|&(what, resistance, compliance)| {

@@ -7,7 +7,7 @@ use super::generalist;
 use super::study::Study;
 use crate::error::Result;
 use plant::bench::BenchConfig;
-use progress::Stage;
+use score::evaluate::EVALUATE;
 use trials::test_table::{Outcome, outcome};
 
 /// Result of a row.
@@ -33,7 +33,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoResult>> {
         let (learned, single) = generalist::with_rival(study)?;
         let benches = BenchConfig::iso_lungs();
         let seed = study.plan().seeds[0];
-        let task = study.progress.of("test table").task(Stage::Evaluate, ISO_ROWS.len());
+        let task = study.progress.of("test table").task(EVALUATE, ISO_ROWS.len());
         ISO_ROWS
             .iter()
             .zip(&benches)

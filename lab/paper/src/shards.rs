@@ -16,6 +16,9 @@ use crate::error::{PaperError, Result};
 use plant::bench::BenchConfig;
 use progress::{Progress, Stage, Task};
 
+/// The paper's experiments, divided among tasks: pieces.
+pub const PIECES: Stage = Stage("run experiments");
+
 /// A reproduction as the work of a campaign.
 #[derive(Clone, Debug)]
 pub struct Shards<'a>(pub &'a Reproduction);
@@ -125,7 +128,7 @@ impl Work for Shards<'_> {
     }
 
     fn stage(&self) -> (Stage, f64) {
-        (Stage::Pieces, 1.0)
+        (PIECES, 1.0)
     }
 
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<()>> {

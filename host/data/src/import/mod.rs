@@ -30,6 +30,9 @@ use self::reader::{RowSource, TableReader};
 use crate::provenance::Provenance;
 use crate::recording::{DatasetError, Extra, RecordingWriter};
 
+/// Importing tables: bytes.
+pub const IMPORT: Stage = Stage("read tables, bytes");
+
 /// Note of a recording whose tables have no set-point: its targets cannot tell how well they were met.
 pub const NO_SET_POINT: &str =
     "no set-point in the tables: target and PIP are the measured plateau, PEEP the first pressure";
@@ -83,7 +86,7 @@ fn import_rows<R: RowSource>(
     let mut groups = Vec::new();
     let mut bytes = 0;
     let length = |path: &PathBuf| fs::metadata(path).map_or(0, |metadata| metadata.len() as usize);
-    let task = progress.task(Stage::Import, paths.iter().map(length).sum());
+    let task = progress.task(IMPORT, paths.iter().map(length).sum());
     for path in paths {
         let mut reader = open(path)?;
         while let Some(sample) = reader.next(&mut groups)? {

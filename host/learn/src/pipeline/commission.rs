@@ -32,14 +32,14 @@ use super::{Folder, PipelineError};
 use crate::controller::learned::Learned;
 use crate::controller::{CurvePoint, FamilyConfig, FamilyModels, FamilyTraining, Stepwise};
 use crate::simulator::episode::{Episode, episodes};
-use crate::simulator::fit::{Fit, FitConfig};
+use crate::simulator::fit::{FIT, Fit, FitConfig};
 use crate::simulator::model::{Architecture, Model, Simulator};
 use crate::simulator::open_loop::open_loop;
 use crate::simulator::unit::spread::{self, Around};
 use crate::simulator::unit::{UnitConfig, UnitNumbers};
 use data::recording::{INSPIRATION, Recording};
 use engine::adam::AdamConfig;
-use progress::{Progress, Stage, Task};
+use progress::{Progress, Task};
 use ventilator::collect::{CollectConfig, CollectError, collect};
 use ventilator::{Source, seeds};
 
@@ -261,7 +261,7 @@ impl CommissionRun {
         let breaths = self.complete_breaths(recording)?;
         let shape = self.shape(recording.provenance.period_us, 1);
         let name = &recording.provenance.plant;
-        let task = progress.task(Stage::Fit, self.fit.epochs * (self.parts + 1));
+        let task = progress.task(FIT, self.fit.epochs * (self.parts + 1));
         let fits: Vec<Option<(Simulator, f64)>> = (0..=self.parts)
             .into_par_iter()
             .map(|part| {

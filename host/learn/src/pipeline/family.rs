@@ -33,6 +33,9 @@ use progress::{Progress, Stage, Task};
 use ventilator::collect::{CollectConfig, collect};
 use ventilator::{BenchSource, seeds};
 
+/// Recording units of a family and fitting their simulators: units.
+pub const UNITS: Stage = Stage("record and fit units");
+
 /// Configuration of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -150,7 +153,7 @@ impl FamilyRun {
         progress: &Progress<'_>,
     ) -> Result<Vec<Simulator>, PipelineError> {
         let count = self.units + self.held_out;
-        let task = progress.task(Stage::Units, count as usize);
+        let task = progress.task(UNITS, count as usize);
         let units: Result<Vec<_>, PipelineError> =
             (0..count).into_par_iter().map(|number| self.unit(number, family, folder, &task)).collect();
         units?.into_iter().collect::<Option<_>>().ok_or(PipelineError::Stopped)

@@ -8,12 +8,12 @@ use super::{Folder, MakeSource, Outcome, PipelineConfig, PipelineError, Round, S
 use crate::controller::learned::Learned;
 use crate::controller::{CurvePoint, PlantModels, TrainConfig, Trainable, Trained, Training};
 use crate::simulator::episode::{Episode, episodes, split};
-use crate::simulator::fit::{Fit, FitConfig};
+use crate::simulator::fit::{FIT, Fit, FitConfig};
 use crate::simulator::model::Simulator;
 use crate::simulator::open_loop::{OpenLoop, open_loop};
 use data::recording::Recording;
-use progress::{Progress, Stage, Task};
-use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
+use progress::{Progress, Task};
+use ventilator::collect::{COLLECT, CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
 
 /// Minimum number of complete breaths for a fit.
@@ -103,7 +103,7 @@ impl<'a, C: Trainable> Run<'a, C> {
     /// Records or loads the round's breaths on every plant; returns the numbers of complete and aborted breaths.
     fn collect(&mut self, round: usize) -> Result<(usize, usize), PipelineError> {
         let breaths = self.config.collect.breaths;
-        let task = self.progress.round(round).task(Stage::Collect, breaths * self.sources.len());
+        let task = self.progress.round(round).task(COLLECT, breaths * self.sources.len());
         let recordings: Vec<Recording> = (0..self.sources.len())
             .into_par_iter()
             .map(|plant| self.recorded(round, plant, &task))
@@ -166,7 +166,7 @@ impl<'a, C: Trainable> Run<'a, C> {
         let parts: Vec<_> = episodes.iter().map(|episodes| split(episodes, self.config.hold_out)).collect();
         let members = self.config.ensemble.max(1) + 1;
         let epochs = self.fit_config(round, 0, 0, !self.simulators.is_empty()).epochs;
-        let task = self.progress.round(round).task(Stage::Fit, epochs * parts.len() * members);
+        let task = self.progress.round(round).task(FIT, epochs * parts.len() * members);
         let fits: Vec<Option<(Simulator, Vec<f64>)>> = (0..parts.len() * members)
             .into_par_iter()
             .map(|job| {

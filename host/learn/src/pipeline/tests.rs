@@ -4,14 +4,17 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use progress::{Event, Stage};
+use progress::Event;
 
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
 
+use super::training::TRAIN;
 use super::*;
 use crate::controller::Weighting;
+use crate::simulator::fit::FIT;
 use plant::bench::BenchConfig;
+use ventilator::collect::COLLECT;
 use ventilator::{BenchSource, Tick};
 
 fn small() -> PipelineConfig {
@@ -88,13 +91,9 @@ fn a_stopped_run_goes_on_as_if_it_had_not_been_stopped() {
     let folders = tempfile::tempdir().unwrap();
     let (straight, stopped) = (folders.path().join("straight"), folders.path().join("stopped"));
     let expected = whole(Some(&straight));
-    for (stop_round, stop_stage, stop_at) in [
-        (0, Stage::Collect, 3),
-        (0, Stage::Fit, 5),
-        (0, Stage::Train, 20),
-        (1, Stage::Fit, 2),
-        (1, Stage::Train, 10),
-    ] {
+    for (stop_round, stop_stage, stop_at) in
+        [(0, COLLECT, 3), (0, FIT, 5), (0, TRAIN, 20), (1, FIT, 2), (1, TRAIN, 10)]
+    {
         let stop = AtomicBool::new(false);
         let observer = |event: &Event<'_>| {
             if (event.round, event.stage) == (Some(stop_round), stop_stage) && event.done >= stop_at {

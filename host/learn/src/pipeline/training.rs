@@ -15,6 +15,9 @@ use data::provenance::git_revision;
 use progress::{Progress, Stage};
 use ventilator::seeds;
 
+/// Training a controller: gradient steps.
+pub const TRAIN: Stage = Stage("train controller");
+
 /// A checkpoint with the training curve up to it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Pause {
@@ -41,7 +44,7 @@ pub fn train<T: Stepwise>(
         training.resume(pause.checkpoint);
         curve = pause.curve;
     }
-    let task = progress.task(Stage::Train, iterations);
+    let task = progress.task(TRAIN, iterations);
     task.reach(training.iteration());
     while !task.stopped() {
         let Some(point) = training.advance() else { break };

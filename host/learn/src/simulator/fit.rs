@@ -19,6 +19,10 @@ use super::rollout::Rollout;
 use super::shard::Shard;
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, huber};
+use progress::Stage;
+
+/// Fitting simulators: epochs.
+pub const FIT: Stage = Stage("fit simulators");
 
 /// Configuration of a fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

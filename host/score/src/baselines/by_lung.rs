@@ -9,7 +9,7 @@ use campaign::{Sums, Work};
 use serde::{Deserialize, Serialize};
 
 use super::ledger::Work as Running;
-use super::{Candidate, LungResult, Search, TuneError, TuneResult, Tuning, planned, tune_knowing};
+use super::{Candidate, LungResult, Search, TUNE_PID, TuneError, TuneResult, Tuning, planned, tune_knowing};
 use crate::evaluate::Plan;
 use plant::bench::BenchConfig;
 use progress::{Progress, Stage, Task};
@@ -77,12 +77,12 @@ impl Work for PidSearch {
     }
 
     fn stage(&self) -> (Stage, f64) {
-        (Stage::TunePid, planned(&self.search.grid.completed(), &self.search, &self.plan, 1) as f64)
+        (TUNE_PID, planned(&self.search.grid.completed(), &self.search, &self.plan, 1) as f64)
     }
 
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<LungScores>, TuneError> {
         let (lungs, part) = (&self.lungs[number as usize..=number as usize], task.part());
-        let running = Running::new(part.task(Stage::TunePid, 0));
+        let running = Running::new(part.task(TUNE_PID, 0));
         let grid = self.search.grid.completed();
         let mut tuning = Tuning::new(lungs, grid, &self.search, &self.plan, &running)?;
         tuning.begin(lungs.len())?;

@@ -26,6 +26,9 @@ use crate::evaluate::{Ground, Plan};
 use ledger::{Ledger, Patience, Work};
 use ventilator::SourceError;
 
+/// Searching gains of a PID: simulated breaths.
+pub const TUNE_PID: Stage = Stage("search PID, breaths");
+
 /// Share of each kind's points that passes the screening.
 const KEPT: f64 = 0.05;
 /// Minimum number of points of a kind that pass.
@@ -174,7 +177,7 @@ fn tune_knowing<G: Ground>(
     progress: &Progress<'_>,
 ) -> Result<TuneResult, TuneError> {
     let grid = search.grid.completed();
-    let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
+    let work = Work::new(progress.task(TUNE_PID, planned(&grid, search, plan, lungs.len())));
     let mut tuning = Tuning::new(lungs, grid, search, plan, &work)?;
     for (lung, scores) in known {
         tuning.screen.learn(*lung as usize, &scores.screening);
@@ -207,7 +210,7 @@ pub fn tune_single_pid<G: Ground>(
     progress: &Progress<'_>,
 ) -> Result<Best, TuneError> {
     let grid = search.grid.completed();
-    let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
+    let work = Work::new(progress.task(TUNE_PID, planned(&grid, search, plan, lungs.len())));
     let mut tuning = Tuning::new(lungs, grid, search, plan, &work)?;
     let all = tuning.begin(lungs.len())?;
     let best = tuning.best(&all)?;

@@ -32,6 +32,9 @@ use progress::{Progress, Stage};
 use search::Found;
 use ventilator::SourceError;
 
+/// Searching the reference bound: stages of the search.
+pub const BOUND: Stage = Stage("search reference bound");
+
 /// Configuration of the search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -160,7 +163,7 @@ pub fn bounds(
             jobs.push((bench, number, breath(bench, plan, *pip, search)?));
         }
     }
-    let task = progress.task(Stage::Bound, jobs.len() * search::stages(search));
+    let task = progress.task(BOUND, jobs.len() * search::stages(search));
     let found: Vec<Option<WaveformBound>> = jobs
         .par_iter()
         .map(|(bench, number, breath)| {

@@ -13,9 +13,9 @@ use serde::Serialize;
 use shared::control::ControlLaw;
 use shared::settings::Settings;
 
-use crate::evaluate::{InspirationRecord, Plan};
+use crate::evaluate::{EVALUATE, InspirationRecord, Plan};
 use plant::bench::{BenchConfig, PatientConfig};
-use progress::{Progress, Stage, Task};
+use progress::{Progress, Task};
 use ventilator::{BenchSource, SourceError};
 
 /// Mean peak of the efforts, cmH2O.
@@ -108,7 +108,7 @@ pub fn breathing<C: ControlLaw + Clone + Sync>(
     progress: &Progress<'_>,
 ) -> Result<Breathing, SourceError> {
     let runs = plan.pips.len() * plan.seeds.len() * (1 + STRENGTHS.len() * RHYTHMS.len());
-    let task = progress.task(Stage::Evaluate, benches.len() * controllers.len() * runs);
+    let task = progress.task(EVALUATE, benches.len() * controllers.len() * runs);
     let mut patients = Vec::new();
     for bench in benches {
         match on_bench(bench, controllers, plan, &task) {

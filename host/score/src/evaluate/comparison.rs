@@ -3,8 +3,8 @@
 use serde::Serialize;
 use thiserror::Error;
 
-use super::{Ground, Plan, Score};
-use progress::{Progress, Stage};
+use super::{EVALUATE, Ground, Plan, Score};
+use progress::Progress;
 use ventilator::SourceError;
 
 /// Scores under the same noise.
@@ -68,7 +68,7 @@ pub fn compare<C>(
     progress: &Progress<'_>,
 ) -> Result<Comparison, CompareError> {
     let controllers = 1 + usize::from(learned.is_some());
-    let task = progress.task(Stage::Evaluate, controllers * plan.pips.len() * plan.seeds.len());
+    let task = progress.task(EVALUATE, controllers * plan.pips.len() * plan.seeds.len());
     let one = |pip: f32| -> Result<Pair, CompareError> {
         let plan = Plan { pips: vec![pip], ..plan.clone() };
         let score = |name, controller| match ground.evaluate(controller, &plan, &task.part()) {

@@ -29,6 +29,9 @@ use progress::{Progress, Stage, Task};
 use ventilator::seeds;
 use ventilator::{BenchSource, Reseed, SourceError, Tick};
 
+/// Scoring controllers: waveforms.
+pub const EVALUATE: Stage = Stage("score waveforms");
+
 /// The breaths of an evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -129,7 +132,7 @@ pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
 ) -> Evaluated {
     let jobs: Vec<(f32, u64)> =
         plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
-    let task = progress.task(Stage::Evaluate, jobs.len());
+    let task = progress.task(EVALUATE, jobs.len());
     let scores = side_by_side(&jobs, &task, |(pip, seed)| {
         let settings = plan.waveform(*pip);
         let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
@@ -169,7 +172,7 @@ pub fn evaluate_source<C: Clone>(
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Evaluated {
-    let task = progress.task(Stage::Evaluate, plan.pips.len() * plan.seeds.len());
+    let task = progress.task(EVALUATE, plan.pips.len() * plan.seeds.len());
     let mut scores = Vec::new();
     for pip in &plan.pips {
         for seed in &plan.seeds {

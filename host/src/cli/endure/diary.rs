@@ -1,22 +1,19 @@
 //! A patient and what happens to it, in words.
 
-use std::sync::atomic::Ordering;
-
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
 
-use crate::cli::common::stop;
-use crate::cli::output::OutputArgs;
+use crate::command::Context;
 use trials::endure::course::{Event, Observer, Scene};
 use trials::endure::deserved::Verdict;
 use trials::endure::patient::Patient;
 use trials::endure::truth::BreathTruth;
 
 /// Prints who the patient is.
-pub fn describe(patient: &Patient, output: &OutputArgs) {
+pub fn describe(patient: &Patient, context: &Context<'_>) {
     let (bench, breathing) = (&patient.bench, &patient.bench.patient);
     let lung = &bench.lung.first;
-    output.line(&format!(
+    context.line(&format!(
         "patient {}: R {:.1}, C {:.1}, resistance grows by {:.0} %/h; unit {}, noise {:.3} and {:.3} cmH2O, quantum {:.3} and \
          {:.3} cmH2O (airway, outlet), drift {:.2} and {:.2} cmH2O/h; flow sensor \
          off by {:.1} %",
@@ -33,7 +30,7 @@ pub fn describe(patient: &Patient, output: &OutputArgs) {
         bench.outlet_sensor.drift_cmh2o_per_hour,
         bench.flow_sensor.gain_error_percent,
     ));
-    output.line(&format!(
+    context.line(&format!(
         "efforts of {:.1} cmH2O, {:.1} a minute, {:.2} s long, varying by {:.0} %, {:.0} % double; {:.0} coughs of {:.0} cmH2O \
          an hour",
         breathing.effort_cmh2o,
@@ -48,8 +45,8 @@ pub fn describe(patient: &Patient, output: &OutputArgs) {
     let first = change(0.0, bench.circuit.leak_l_per_s_at_30_cmh2o);
     let later = bench.circuit.leak_changes.iter().map(|c| change(c.at_s, c.leak_l_per_s_at_30_cmh2o));
     let leaks: Vec<_> = std::iter::once(first).chain(later).collect();
-    output.line(&format!("leak in L/s at 30 cmH2O: {}", leaks.join(", ")));
-    output.line(&format!("settings: {}\n", entered(&patient.settings)));
+    context.line(&format!("leak in L/s at 30 cmH2O: {}", leaks.join(", ")));
+    context.line(&format!("settings: {}\n", entered(&patient.settings)));
 }
 
 fn entered(settings: &Settings) -> String {
@@ -61,7 +58,7 @@ fn entered(settings: &Settings) -> String {
 }
 
 /// Prints the events of a stay.
-pub struct Diary<'a>(pub &'a OutputArgs);
+pub struct Diary<'a>(pub &'a Context<'a>);
 
 impl Observer for Diary<'_> {
     fn event(&mut self, event: &Event, scene: &Scene<'_>) {
@@ -85,7 +82,7 @@ impl Observer for Diary<'_> {
     }
 
     fn minute(&mut self) -> bool {
-        !stop().load(Ordering::Relaxed)
+        !self.0.stopped()
     }
 }
 

@@ -13,13 +13,13 @@ use serde::Serialize;
 use serde_json::{Value, to_value};
 use shared::control::Controller;
 
-use super::super::controller_args::learned as learned_controller;
-use super::super::output::{write, write_json};
 use super::Args;
+use crate::args::controller::learned as learned_controller;
+use crate::command::{Context, write, write_json};
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     kind: &'static str,
     bytes: usize,
     period_us: u32,
@@ -34,15 +34,15 @@ struct Exported {
 }
 
 /// Writes the controller or simulator as ONNX.
-pub fn onnx(args: &Args) -> anyhow::Result<()> {
+pub fn onnx(args: &Args, context: &Context<'_>) -> anyhow::Result<Summary> {
     let Exported { kind, period_us, onnx, check } = exported(&args.file, args.unit)?;
     write(&args.out, &onnx)?;
-    args.output.line(&format!("saved {}: {kind}, {} bytes", args.out.display(), onnx.len()));
+    context.line(&format!("saved {}: {kind}, {} bytes", args.out.display(), onnx.len()));
     if let Some(file) = &args.check {
         write_json(file, &check)?;
-        args.output.saved(file);
+        context.saved(file);
     }
-    args.output.finish(&Summary { kind, bytes: onnx.len(), period_us })
+    Ok(Summary { kind, bytes: onnx.len(), period_us })
 }
 
 fn exported(input: &Path, unit: Option<u32>) -> anyhow::Result<Exported> {

@@ -4,17 +4,18 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context as _, bail};
 use serde::Serialize;
 
 use super::Args;
+use crate::command::Context;
 use data::export::mcap::{self, Counts};
 use data::export::pirds::{self, Layout, Written};
 use data::recording::Recording;
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Exported {
+pub struct Exported {
     file: PathBuf,
     rows: usize,
     /// Number of messages of each topic of an MCAP file.
@@ -26,26 +27,23 @@ struct Exported {
 }
 
 /// Writes the recording as MCAP.
-pub fn mcap(args: &Args) -> anyhow::Result<()> {
+pub fn mcap(args: &Args, context: &Context<'_>) -> anyhow::Result<Exported> {
     let recording = recording(&args.file)?;
     let messages = Some(mcap::save(&recording, &args.out)?);
-    finish(args, &Exported { messages, events: None, ..exported(args, &recording) })
+    context.saved(&args.out);
+    Ok(Exported { messages, events: None, ..exported(args, &recording) })
 }
 
 /// Writes the recording as PIRDS.
-pub fn pirds(args: &Args, layout: Layout) -> anyhow::Result<()> {
+pub fn pirds(args: &Args, layout: Layout, context: &Context<'_>) -> anyhow::Result<Exported> {
     let recording = recording(&args.file)?;
     let events = Some(pirds::save(&recording, layout, &args.out)?);
-    finish(args, &Exported { events, messages: None, ..exported(args, &recording) })
+    context.saved(&args.out);
+    Ok(Exported { events, messages: None, ..exported(args, &recording) })
 }
 
 fn exported(args: &Args, recording: &Recording) -> Exported {
     Exported { file: args.out.clone(), rows: recording.len(), messages: None, events: None }
-}
-
-fn finish(args: &Args, exported: &Exported) -> anyhow::Result<()> {
-    args.output.saved(&args.out);
-    args.output.finish(exported)
 }
 
 /// Reads a recording, whose first bytes or else its ending tell that it is one.

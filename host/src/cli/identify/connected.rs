@@ -8,9 +8,9 @@ use shared::link::messages::DeviceIdentity;
 use shared::link::refusal::Refusal;
 use shared::weights::slots::SlotState;
 
-use super::super::common::warn_of_development_build;
-use super::super::controller_args::image_id;
-use super::super::output::OutputArgs;
+use crate::args::controller::image_id;
+use crate::args::port::warn_of_development_build;
+use crate::command::Context;
 use device::port::Address;
 use device::{Device, DeviceError};
 use show::monitor::words;
@@ -18,7 +18,7 @@ use show::report::{Cell, Table};
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Found {
+pub struct Found {
     port: String,
     identity: DeviceIdentity,
     calibrations: Calibrations,
@@ -35,14 +35,14 @@ struct Calibrations {
 }
 
 /// Identifies the device at an address.
-pub fn run(address: &Address, output: &OutputArgs) -> anyhow::Result<()> {
+pub fn run(address: &Address, context: &Context<'_>) -> anyhow::Result<Found> {
     let mut device = Device::connect(address)?;
     let identity = device.identify()?;
     warn_of_development_build(&identity);
     let calibrations = calibrations(&mut device)?;
     let port = address.to_string();
-    output.table(&table(&port, &identity, &calibrations));
-    output.finish(&Found { port, identity, calibrations })
+    context.table(&table(&port, &identity, &calibrations));
+    Ok(Found { port, identity, calibrations })
 }
 
 fn calibrations(device: &mut Device) -> Result<Calibrations, DeviceError> {

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::{Context as _, bail};
 use serde::Serialize;
 
-use super::super::output::{OutputArgs, write};
 use super::LungArgs;
+use crate::command::{Context, write};
 use data::recording::Recording;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 use verdict::identify::cycle::Cycle;
@@ -14,13 +14,13 @@ use verdict::identify::{Estimate, Identified, LungCycles, bench, identify, lungs
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Found {
+pub struct Found {
     plant: String,
     lungs: Vec<Identified>,
 }
 
 /// Identifies the lungs of a recording.
-pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<()> {
+pub fn run(data: &Path, args: &LungArgs, context: &Context<'_>) -> anyhow::Result<Found> {
     let recording = Recording::load(data)?;
     let mut found = identify(&recording).with_context(|| format!("cannot identify {}", data.display()))?;
     if let Some(group) = &args.group {
@@ -30,8 +30,8 @@ pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<
             bail!("{} has no lung named {group} that can be identified; it has {names}", data.display());
         }
     }
-    output.table(&table(&found));
-    output.table(&behind_circuit(&found));
+    context.table(&table(&found));
+    context.table(&behind_circuit(&found));
     if let Some(path) = &args.write_plant {
         let [lung] = &found[..] else {
             bail!("a bench has one lung, the recording {}: choose one with --group", names(&found));
@@ -39,10 +39,10 @@ pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<
         let bench = bench::bench(lung, &recording)
             .with_context(|| format!("the lung {} is outside the bench's limits", lung.id))?;
         write(path, bench::to_toml(&bench, lung).as_bytes())?;
-        output.saved(path);
+        context.saved(path);
     }
-    output.report(args.report.as_ref(), || report(&recording, &found))?;
-    output.finish(&Found { plant: recording.provenance.plant, lungs: found })
+    context.report(args.report.as_ref(), || report(&recording, &found))?;
+    Ok(Found { plant: recording.provenance.plant, lungs: found })
 }
 
 fn names(lungs: &[Identified]) -> String {

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use super::super::output::write;
+use crate::command::write;
 use data::recording::Recording;
 use show::report::{Plot, Series, Style};
 use verdict::{Judged, SoreSpot, Verdict};

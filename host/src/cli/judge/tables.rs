@@ -2,17 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use super::super::output::OutputArgs;
+use crate::command::Context;
 use show::report::{Cell, Table};
 use verdict::{Accuracy, Judged, LimitResult, LungReport, Mean, USUAL, Verdict};
 
 /// Prints a verdict with at most `worst` sore spots.
-pub fn print(output: &OutputArgs, file: &str, verdict: &Verdict, worst: usize) {
-    output.line(&head(file, verdict));
-    output.table(&report(verdict));
-    output.table(&figures(verdict));
+pub fn print(context: &Context<'_>, file: &str, verdict: &Verdict, worst: usize) {
+    context.line(&head(file, verdict));
+    context.table(&report(verdict));
+    context.table(&figures(verdict));
     for line in accuracy(verdict).into_iter().chain(limits(verdict)).chain(sore_spots(verdict, worst)) {
-        output.line(&line);
+        context.line(&line);
     }
 }
 

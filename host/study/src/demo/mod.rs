@@ -19,9 +19,9 @@ use crate::error::{Result, StudyError};
 use data::files::{read_json, write_atomically, write_json, write_json_indented};
 use learn::pipeline::{self, Folder, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
-use progress::{Progress, Stage};
+use progress::Progress;
 use score::baselines::{Best, Search, tune_pid};
-use score::evaluate::{BreathTrace, Evaluation, Plan};
+use score::evaluate::{BreathTrace, EVALUATE, Evaluation, Plan};
 
 pub use summary::{Compared, ContestantMeans, DemoSummary};
 pub use venue::Venue;
@@ -144,7 +144,7 @@ fn compare(
         ("PID", pid(best.pid.gains)?),
         ("learned", Controller::Residual(outcome.learned.controller.clone())),
     ];
-    let task = progress.task(Stage::Evaluate, controllers.len() * plan.pips.len() * plan.seeds.len());
+    let task = progress.task(EVALUATE, controllers.len() * plan.pips.len() * plan.seeds.len());
     // In parallel: a board keeps one core busy.
     let contestant = |(name, controller): (&'static str, Controller)| {
         let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &task.part())?;

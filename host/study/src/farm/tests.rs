@@ -20,6 +20,7 @@ use progress::Event;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 use switch::Switch;
+use ventilator::collect::COLLECT;
 
 /// Breaths of a recording.
 const BREATHS: usize = 10;
@@ -287,7 +288,7 @@ fn devices_that_change_their_ports_while_a_farm_runs_are_noticed() {
     Small::new(&farm, folder.path(), FarmStage::Fit).run().unwrap();
     let never = AtomicBool::new(false);
     let observer = |event: &Event<'_>| {
-        if event.subject == "1" && event.stage == progress::Stage::Collect && event.done == 3 {
+        if event.subject == "1" && event.stage == COLLECT && event.done == 3 {
             one.connect_to(served[1].address());
         }
     };

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use campaign::record::{Ending, Record, Results};
+use campaign::record::{Ending, Options, Record, Results};
 use serde_json::json;
 use tempfile::TempDir;
 
@@ -32,7 +32,7 @@ fn record(seed: u64, score: f64) -> Record {
                 { "iteration": 5, "training": 1.0, "validation": score },
             ],
         })),
-        ..Record::begin()
+        ..Record::begin(&Options::default())
     }
 }
 

@@ -21,6 +21,9 @@ use trials::robust::plant_run::{PlantRun, breaths};
 use trials::robust::rivals::TUNING_SEED;
 use ventilator::{SourceError, seeds};
 
+/// Searching parameters of a rival: runs of a plant.
+pub const TUNE_RIVAL: Stage = Stage("search rival, plants");
+
 /// Plants of a family on which a rival is tuned.
 const PLANTS: u32 = 48;
 /// Runs that screen the coarse grid: two of each of the paper's waveforms.
@@ -121,7 +124,7 @@ fn search(
 ) -> Result<Tuned, TuneRivalError> {
     let screened = SCREENED.min(plan.runs.len());
     let planned = AtomicUsize::new(0);
-    let task = progress.task(Stage::TuneRival, grid.len() * screened);
+    let task = progress.task(TUNE_RIVAL, grid.len() * screened);
     let mut screen = Scores::new(rival, plan, screened, (&task, &planned));
     let mut full = Scores::new(rival, plan, plan.runs.len(), (&task, &planned));
     // With the middle of the grid there is a result even if the search is stopped immediately.
@@ -324,7 +327,7 @@ mod tests {
         };
         let found = with(1);
         assert_eq!(found, with(2));
-        let task = Progress::silent().task(Stage::TuneRival, 1);
+        let task = Progress::silent().task(TUNE_RIVAL, 1);
         let plan = plan();
         let planned = AtomicUsize::new(0);
         let mut scores = Scores::new(Rival::VariableGain, &plan, plan.runs(), (&task, &planned));

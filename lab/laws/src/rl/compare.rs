@@ -18,6 +18,9 @@ use engine::{LANES, Lane};
 use learn::simulator::model::Simulator;
 use progress::{Progress, Stage};
 
+/// Reinforcement learning: rounds.
+pub const REINFORCE: Stage = Stage("train by rewards");
+
 /// Reinforcement learning algorithm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -119,7 +122,7 @@ pub fn train(
     let per_round = learner.steps_per_round() as u64 * u64::from(perception.hold);
     let rounds = samples.div_ceil(per_round);
     let every = (rounds / config.validations.max(1)).max(1);
-    let task = progress.task(Stage::Reinforce, rounds as usize);
+    let task = progress.task(REINFORCE, rounds as usize);
     for round in 0..rounds {
         if task.stopped() {
             break;

@@ -6,10 +6,13 @@ use shared::breath::{PAPER_PIPS, Phase, paper_settings};
 use shared::control::ControlLaw;
 use shared::settings::{LEAST_RISE, Settings};
 
-use super::Measured;
+use super::{Accuracy, Measured};
 use plant::bench::BenchConfig;
-use progress::Task;
+use progress::{Progress, Stage, Task};
 use ventilator::{BenchSource, SourceError, Tick};
+
+/// Measuring the accuracy of the pressure: plants.
+pub const ACCURACY: Stage = Stage("measure accuracy, plants");
 
 /// Leak of the measurements with a leak, L/s at 30 cmH2O: the largest of the adult family.
 pub const LEAK_L_PER_S: f64 = 0.1;
@@ -78,12 +81,48 @@ pub fn measure<C: ControlLaw + Clone>(
     Ok(ends)
 }
 
-/// Measures a controller on several benches, on all threads. Benches on which the ventilator stops are left out, and so are those that
-/// are not measured when the task is stopped.
+/// The accuracy of a controller over several benches at one phase's end.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Declared {
+    /// The phase.
+    pub phase: &'static str,
+    /// Whether the circuit leaks.
+    pub leak: bool,
+    /// Number of benches measured; on the others the ventilator stopped.
+    pub plants: usize,
+    /// The accuracy; none without a measurement.
+    pub accuracy: Option<Accuracy>,
+}
+
+/// The accuracy of a controller over several benches, by leak and phase. Benches on which the ventilator stops, and those that are left
+/// when it is stopped, do not count.
 ///
 /// # Errors
 /// A bench that cannot be built.
-pub fn measure_all<C: ControlLaw + Clone + Sync>(
+pub fn declared<C: ControlLaw + Clone + Sync>(
+    benches: &[BenchConfig],
+    controller: &C,
+    setup: Setup,
+    progress: &Progress<'_>,
+) -> Result<Vec<Declared>, SourceError> {
+    let task = progress.task(ACCURACY, 2 * benches.len());
+    let mut declared = Vec::new();
+    for leak in [false, true] {
+        let ends = measure_all(benches, controller, leak, setup, &task)?;
+        let mut declare = |phase, of: fn(&PhaseEnd) -> &Vec<Measured>| {
+            let measured: Vec<_> = ends.iter().flat_map(of).copied().collect();
+            let accuracy = Accuracy::declared(&measured);
+            declared.push(Declared { phase, leak, plants: ends.len(), accuracy });
+        };
+        declare("inspiration", |end| &end.inspiration);
+        declare("expiration", |end| &end.expiration);
+    }
+    Ok(declared)
+}
+
+/// Measures a controller on several benches, on all threads. Benches on which the ventilator stops are left out, and so are those that
+/// are not measured when the task is stopped.
+fn measure_all<C: ControlLaw + Clone + Sync>(
     benches: &[BenchConfig],
     controller: &C,
     leak: bool,
@@ -114,7 +153,6 @@ fn mean_of_last(values: &[f64], last: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::Accuracy;
     use shared::control::Controller;
     use shared::control::pid::{Pid, PidGains};
 

@@ -2,7 +2,7 @@
 
 mod bench;
 
-pub use bench::{PhaseEnd, Setup, measure, measure_all};
+pub use bench::{Declared, PhaseEnd, Setup, declared, measure};
 
 use serde::{Deserialize, Serialize};
 

@@ -31,6 +31,9 @@ use ventilator::SourceError;
 
 use crate::faults::hostile::SOUND;
 
+/// Random patients: minutes of their stays.
+pub const ENDURE: Stage = Stage("endure, minutes");
+
 /// Why an endurance test cannot continue.
 #[derive(Debug, Error)]
 pub enum EndureError {
@@ -85,7 +88,7 @@ impl Work for Endurance<'_> {
     }
 
     fn stage(&self) -> (Stage, f64) {
-        (Stage::Endure, self.question.hours * 60.0)
+        (ENDURE, self.question.hours * 60.0)
     }
 
     /// A stay that is stopped before its end starts from its beginning the next time.

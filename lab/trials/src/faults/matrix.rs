@@ -19,6 +19,9 @@ use progress::{Progress, Stage};
 use score::evaluate::side_by_side;
 use ventilator::SourceError;
 
+/// Injecting faults: cells of the matrix.
+pub const FAULTS: Stage = Stage("inject faults");
+
 /// Longest time from crossing the limit to the venting command, ms.
 pub const VENT_WITHIN_MS: u32 = 200;
 /// Longest time from the venting command to a pressure near PEEP if the valves obey, ms: two breaths.
@@ -76,7 +79,7 @@ pub fn false_alarms(
     let runs: Vec<(u64, BenchConfig)> = (0..u64::from(each / NOMINAL_BREATHS))
         .flat_map(|seed| lungs.iter().map(move |lung| (seed, lively(lung, seed))))
         .collect();
-    let task = progress.task(Stage::Faults, runs.len());
+    let task = progress.task(FAULTS, runs.len());
     let found = side_by_side(&runs, &task, |(seed, bench)| {
         let outcome = run(&Trial {
             bench,
@@ -118,7 +121,7 @@ pub fn matrix(
     progress: &Progress<'_>,
 ) -> Result<Vec<FaultRow>, SourceError> {
     let cells: Vec<_> = cells(lungs).collect();
-    let task = progress.task(Stage::Faults, cells.len());
+    let task = progress.task(FAULTS, cells.len());
     let sound = SoundRuns::default();
     side_by_side(&cells, &task, |(case, lung)| cell(case, lung, seeds, (limit, monitors), &sound))
 }

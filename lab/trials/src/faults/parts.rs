@@ -5,9 +5,9 @@ use shared::safety::monitors::Monitors;
 use shared::safety::responses::Response;
 
 use super::cases::{FaultCase, LIMIT};
-use super::matrix::{FaultRow, SoundRuns, cell, cells};
+use super::matrix::{FAULTS, FaultRow, SoundRuns, cell, cells};
 use plant::bench::BenchConfig;
-use progress::{Progress, Stage, Task};
+use progress::{Progress, Task};
 use score::evaluate::side_by_side;
 use ventilator::SourceError;
 
@@ -62,7 +62,7 @@ pub fn without_each_part(
     progress: &Progress<'_>,
 ) -> Result<Vec<(Part, Option<FaultRow>)>, SourceError> {
     let parts: Vec<Part> = Part::all().collect();
-    let task = progress.task(Stage::Faults, parts.len());
+    let task = progress.task(FAULTS, parts.len());
     let sound = SoundRuns::default();
     side_by_side(&parts, &task, |part| Ok((*part, failing_row(*part, lungs, seeds, &sound, &task)?)))
 }
@@ -106,7 +106,7 @@ mod tests {
     /// The fault of the row that proves a part on a lung.
     fn proof(part: Part, lung: &BenchConfig) -> Option<&'static str> {
         let (sound, lungs) = (SoundRuns::default(), std::slice::from_ref(lung));
-        let task = Progress::silent().task(Stage::Faults, 1);
+        let task = Progress::silent().task(FAULTS, 1);
         failing_row(part, lungs, &[1], &sound, &task).unwrap().map(|row| row.fault)
     }
 

@@ -25,6 +25,9 @@ use plant::bench::{BenchConfig, Failure};
 use progress::{Stage, Task};
 use ventilator::SourceError;
 
+/// Hostile controllers: breaths.
+pub const TORTURE: Stage = Stage("torture, breaths");
+
 /// Number of breaths per run.
 pub const BREATHS_PER_RUN: u64 = 10;
 /// Highest true airway pressure above the pressure limit, cmH2O.
@@ -77,7 +80,7 @@ impl Work for Torture {
     }
 
     fn stage(&self) -> (Stage, f64) {
-        (Stage::Torture, BREATHS_PER_RUN as f64)
+        (TORTURE, BREATHS_PER_RUN as f64)
     }
 
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<RunResult>, TortureError> {

@@ -32,6 +32,9 @@ use score::bound::BoundError;
 use tally::{PlantResult, Rivals};
 use ventilator::SourceError;
 
+/// A robustness test: plants of a family.
+pub const ROBUST: Stage = Stage("plants");
+
 /// Why a robustness test cannot continue.
 #[derive(Debug, Error)]
 pub enum RobustError {
@@ -105,7 +108,7 @@ impl<C: ControlLaw + Clone + Sync> Work for Robustness<'_, C> {
     }
 
     fn stage(&self) -> (Stage, f64) {
-        (Stage::Robust, 1.0)
+        (ROBUST, 1.0)
     }
 
     /// Runs a plant under both controllers, and searches its rivals if it is one of the subset.

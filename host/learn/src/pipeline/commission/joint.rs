@@ -3,12 +3,12 @@
 use super::{Checked, CommissionRun, Figures};
 use crate::pipeline::PipelineError;
 use crate::simulator::episode::Episode;
-use crate::simulator::fit::Fit;
+use crate::simulator::fit::{FIT, Fit};
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::open_loop::open_loop;
 use crate::simulator::unit::{PER_UNIT, UnitNumbers, spread};
 use data::recording::Recording;
-use progress::{Progress, Stage, Task};
+use progress::{Progress, Task};
 
 impl CommissionRun {
     /// Fits one simulator to the recordings of several units and checks it, for each unit, on breaths left out of the fit. Returns it
@@ -32,7 +32,7 @@ impl CommissionRun {
                 ..breath
             }));
         }
-        let task = progress.task(Stage::Fit, 2 * self.fit.epochs);
+        let task = progress.task(FIT, 2 * self.fit.epochs);
         let numbered: Vec<(usize, &Episode)> = breaths.iter().enumerate().collect();
         let (left_out, fitted): (Vec<_>, Vec<_>) = numbered.iter().partition(|(n, _)| n % self.parts == 0);
         let [left_out, fitted]: [Vec<&Episode>; 2] =

@@ -11,6 +11,7 @@ use crate::pipeline::tests::score;
 use plant::bench::BenchConfig;
 use progress::Event;
 use ventilator::BenchSource;
+use ventilator::collect::COLLECT;
 
 fn small() -> CommissionRun {
     let mut run = CommissionRun { parts: 2, drawn: (64, 32), ..CommissionRun::default() };
@@ -149,7 +150,7 @@ fn a_stopped_recording_is_repeated_and_a_stopped_training_goes_on() {
     let folder = Folder::new(place.path());
     let stop = AtomicBool::new(false);
     let at_ten = |event: &Event<'_>| {
-        let enough = if event.stage == Stage::Collect { 3 } else { 10 };
+        let enough = if event.stage == COLLECT { 3 } else { 10 };
         stop.fetch_or(event.done >= enough, Ordering::Relaxed);
     };
     let stopping = Progress::new(&at_ten, &stop);

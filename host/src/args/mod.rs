@@ -1,0 +1,13 @@
+//! Arguments that commands share, with what they choose: a bench, a plant, a device, a controller, settings, shards.
+
+pub mod bench;
+pub mod controller;
+pub mod gains;
+pub mod key;
+pub mod plant;
+pub mod policy;
+pub mod port;
+pub mod preset;
+pub mod settings;
+pub mod shards;
+pub mod source;

@@ -1,0 +1,48 @@
+//! A device at a port in place of the bench.
+
+use anyhow::{Context, bail};
+use shared::link::messages::DeviceIdentity;
+
+use super::controller::Chosen;
+use device::Device;
+use device::port::Address;
+use show::monitor::words;
+use ventilator::PortSource;
+
+/// The choice of a device.
+#[derive(Debug, clap::Args)]
+pub struct PortArgs {
+    /// A device in place of the bench: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT", conflicts_with_all = ["lung", "bench", "plant"])]
+    pub port: Option<Address>,
+}
+
+/// The device at an address as a source for a controller; with hardware in the loop, its plant starts with `seed`.
+///
+/// # Errors
+/// A device that does not answer, or whose control period is not that of the controller.
+pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<PortSource> {
+    let device = Device::connect(address)?;
+    let mut source = PortSource::new(device, seed).with_context(|| format!("cannot use {address}"))?;
+    warn_of_development_build(source.identity());
+    let device_us = source.identity().period_us;
+    if device_us != chosen.period_us {
+        let asked = chosen.period_us;
+        bail!(
+            "the device's control period is {device_us} us, but the controller's is {asked} us: train a controller for the device"
+        );
+    }
+    if let Some(image) = &chosen.image {
+        source.know(image.clone());
+    }
+    Ok(source)
+}
+
+/// Warns of a device whose firmware accepts unsigned weights.
+pub fn warn_of_development_build(identity: &DeviceIdentity) {
+    if words::is_development(identity) {
+        eprintln!(
+            "warning: this device runs a development build, which accepts unsigned weights: build its firmware with a key (`trainer keys --help`)"
+        );
+    }
+}

@@ -1,0 +1,85 @@
+//! What a command runs in: the request to stop, its progress, and its output.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use campaign::record::Options;
+use progress::{Event, Progress};
+use show::report::{Report, Table};
+
+use super::bars::with_bars;
+
+/// Receives the progress of a command, on any thread.
+pub type Observer<'a> = dyn Fn(&Event<'_>) + Send + Sync + 'a;
+
+/// What a command runs in.
+#[derive(Clone, Copy)]
+pub struct Context<'a> {
+    /// The request to stop.
+    pub(super) stop: &'a AtomicBool,
+    /// Receives the progress; none shows it as bars.
+    pub(super) observer: Option<&'a Observer<'a>>,
+    /// Whether tables and lines are left out.
+    pub(super) silent: bool,
+    /// The options of the command.
+    pub(super) options: &'a Options,
+}
+
+impl Context<'_> {
+    /// Runs work that reports its progress and stops on request.
+    pub fn progress<T>(&self, work: impl FnOnce(&Progress<'_>) -> T) -> T {
+        match self.observer {
+            Some(observer) => work(&Progress::new(observer, self.stop)),
+            None => with_bars(self.stop, work),
+        }
+    }
+
+    /// The request to stop.
+    pub fn stop(&self) -> &AtomicBool {
+        self.stop
+    }
+
+    /// Whether the command is to stop, and to keep its results so far.
+    pub fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// The options of the command with their values, for records of parts of its run.
+    pub fn options(&self) -> &Options {
+        self.options
+    }
+
+    /// Prints a table, unless standard output is for JSON alone.
+    pub fn table(&self, table: &Table) {
+        self.line(&format!("{}\n", table.to_terminal()));
+    }
+
+    /// Prints a line, unless standard output is for JSON alone or belongs to a program that has called the command.
+    pub fn line(&self, text: &str) {
+        if !self.silent {
+            // A closed reader (`| head`) is no reason to stop: files are still to be written.
+            let _ = writeln!(std::io::stdout(), "{text}");
+        }
+    }
+
+    /// Reports that a file was written.
+    pub fn saved(&self, path: &Path) {
+        self.line(&format!("saved {}", path.display()));
+    }
+
+    /// Writes a report, if requested.
+    ///
+    /// # Errors
+    /// A report that cannot be made, or a file that cannot be written.
+    pub fn report(
+        &self,
+        path: Option<&PathBuf>,
+        report: impl FnOnce() -> anyhow::Result<Report>,
+    ) -> anyhow::Result<()> {
+        let Some(path) = path else { return Ok(()) };
+        report()?.save(path)?;
+        self.saved(path);
+        Ok(())
+    }
+}

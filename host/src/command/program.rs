@@ -1,0 +1,181 @@
+//! A program of several commands: runs the one that its arguments choose.
+
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Error;
+use campaign::record::{Ending, Results};
+use clap::{ArgMatches, Parser};
+use serde::Serialize;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::{Layer, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
+
+use super::output::{Output, write_json};
+use super::record::{Kept, Place, options};
+use super::{Command, Context, FAILURE, Observer};
+
+/// Environment variable that sets the log level.
+const LOG_VARIABLE: &str = "EUPNEA_LOG";
+/// Exit status of a command that Ctrl-C ended early, as shells expect it; its results so far are saved.
+const INTERRUPTED: u8 = 130;
+
+/// A program of several commands.
+pub trait Program: Parser {
+    /// The command that the arguments choose.
+    fn chosen(&self) -> &dyn Runnable;
+}
+
+/// A command of any outcome. Every [`Command`] is one.
+pub trait Runnable {
+    /// Where its outcome goes.
+    fn output(&self) -> Output<'_>;
+
+    /// Runs the command and saves its outcome.
+    fn run(&self, context: &Context<'_>) -> Done;
+}
+
+impl<C: Command> Runnable for C {
+    fn output(&self) -> Output<'_> {
+        Command::output(self)
+    }
+
+    fn run(&self, context: &Context<'_>) -> Done {
+        let mut done = Done::default();
+        let failed = |error| Some(Failure { error, status: FAILURE });
+        done.failure = match Command::run(self, context) {
+            Err(error) => failed(error),
+            Ok(None) => None,
+            Ok(Some(outcome)) => match done.keep(&outcome, Command::output(self).json) {
+                Err(error) => failed(error),
+                Ok(()) => {
+                    let refused = self.conclude(outcome, context).err();
+                    refused.map(|error| Failure { error, status: C::REFUSED })
+                }
+            },
+        };
+        done
+    }
+}
+
+/// How a command ended.
+#[derive(Debug, Default)]
+pub struct Done {
+    /// Its outcome as JSON. As text: a value would widen numbers of 32 bits, and so show other digits.
+    pub json: Option<String>,
+    /// The numbers among it, for the record of the run.
+    pub results: Option<Results>,
+    /// Why it failed, if it did.
+    pub failure: Option<Failure>,
+}
+
+/// Why a command failed.
+#[derive(Debug)]
+pub struct Failure {
+    /// The reason.
+    pub error: Error,
+    /// The exit status.
+    pub status: u8,
+}
+
+impl Done {
+    /// Keeps an outcome, and writes it to a file if there is one.
+    fn keep(&mut self, outcome: &impl Serialize, file: Option<&Path>) -> anyhow::Result<()> {
+        self.results = Some(Results::of(&serde_json::to_value(outcome)?));
+        self.json = Some(serde_json::to_string(outcome)?);
+        file.map_or(Ok(()), |file| write_json(file, outcome))
+    }
+
+    fn ending(&self, stopped: bool) -> Ending {
+        match &self.failure {
+            Some(failure) => Ending::Failed(message(&failure.error)),
+            None if stopped => Ending::Stopped,
+            None => Ending::Complete,
+        }
+    }
+}
+
+/// Runs the program with the arguments of the process and returns its exit status.
+pub fn main<P: Program>() -> ExitCode {
+    log_to_standard_error();
+    let stop = stop_at_ctrl_c();
+    let matches = P::command().get_matches();
+    let program =
+        P::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut P::command()).exit());
+    match run(&program, &matches, &stop, None).failure {
+        None if stop.load(Ordering::Relaxed) => ExitCode::from(INTERRUPTED),
+        None => ExitCode::SUCCESS,
+        Some(Failure { error, status }) => {
+            eprintln!("error: {}", message(&error));
+            ExitCode::from(status)
+        }
+    }
+}
+
+/// Runs the chosen command and keeps the record of its run. An observer belongs to a program that has called the command.
+pub(super) fn run<P: Program>(
+    program: &P,
+    matches: &ArgMatches,
+    stop: &AtomicBool,
+    observer: Option<&Observer<'_>>,
+) -> Done {
+    let (command, options) = (program.chosen(), options(&P::command(), matches));
+    let silent = observer.is_some() || command.output().is_standard_output();
+    let kept = Place::of(command.output()).map(|place| Kept::begin(place, &options));
+    let done = command.run(&Context { stop, observer, silent, options: &options });
+    if let Some(kept) = kept {
+        kept.end(done.ending(stop.load(Ordering::Relaxed)), done.results.clone());
+    }
+    done
+}
+
+/// The first Ctrl-C asks the command to stop, which keeps its results; the second ends the process.
+fn stop_at_ctrl_c() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let asked = stop.clone();
+    let handler = move || {
+        if asked.swap(true, Ordering::SeqCst) {
+            std::process::exit(INTERRUPTED.into());
+        }
+        eprintln!("\nstopping and keeping the results so far; press Ctrl-C again to end immediately");
+    };
+    if ctrlc::set_handler(handler).is_err() {
+        tracing::warn!("Ctrl-C will end the process without saving: its signal cannot be handled here");
+    }
+    stop
+}
+
+fn log_to_standard_error() {
+    let asked = std::env::var(LOG_VARIABLE).ok().and_then(|text| text.parse().ok());
+    let targets = asked.unwrap_or_else(|| Targets::new().with_default(LevelFilter::WARN));
+    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    tracing_subscriber::registry().with(lines.with_filter(targets)).init();
+}
+
+/// An error and its causes, without a cause that the error's text already quotes.
+pub(super) fn message(error: &Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cause_is_said_once() {
+        let quoted = anyhow::anyhow!("no such file").context("cannot read a.bin: no such file");
+        assert_eq!(message(&quoted), "cannot read a.bin: no such file");
+        let unquoted = anyhow::anyhow!("image is damaged").context("a.bin");
+        assert_eq!(message(&unquoted), "a.bin: image is damaged");
+    }
+}
