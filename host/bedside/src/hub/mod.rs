@@ -402,7 +402,14 @@ impl Worker {
         match message {
             FromPage::Take { take_over, .. } => match self.wheel.take(viewer.number, &viewer.who, *take_over)
             {
-                Ok(()) => self.tell_steerer(),
+                Ok(()) => {
+                    if *take_over {
+                        // The page's user has confirmed it, also if another program steers past all pages.
+                        let name = device::host_name();
+                        let _ = self.source.ask(Request::AcquireLease { name, take_over: true });
+                    }
+                    self.tell_steerer();
+                }
                 // It is told who steers.
                 Err(_) => tell(viewer, &self.steerer(viewer)),
             },

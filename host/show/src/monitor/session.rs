@@ -1,7 +1,7 @@
 //! A session with a device: a thread that owns the connection, forwards news, sends requests, and polls the device once
 //! a second.
 //!
-//! By itself it only reads (which also renews the lease if a key has acquired it), and repeatedly switches telemetry on, because a restarted device has it off. If the line
+//! By itself it only reads (which also renews the lease if a request has acquired it), and repeatedly switches telemetry on, because a restarted device has it off. If the line
 //! breaks, the thread reopens it; requests meanwhile are answered as not sent, so that none reaches a device late.
 //! Events are forwarded also while an answer is awaited, so that a lost frame delays no waveform and no alarm. A stop overtakes
 //! the requests that wait, and cancels a start among them.
@@ -52,11 +52,6 @@ impl Session {
     pub fn ask(&self, request: Request) {
         // The thread lives as long as this end.
         let _ = self.requests.send(request);
-    }
-
-    /// The news received so far.
-    pub fn news(&self) -> impl Iterator<Item = News> + '_ {
-        self.news.try_iter()
     }
 
     /// Waits for the next piece of news; says so if the session has failed.
@@ -111,7 +106,7 @@ impl Watcher {
         let _ = self.device.telemetry(false);
     }
 
-    /// Refuses waiting requests, because a key pressed before the reconnection referred to the state at that time, and
+    /// Refuses waiting requests, because a request from before the reconnection referred to the state at that time, and
     /// tries until the line is open again.
     fn reopen(&mut self, reason: &DeviceError) -> Result<(), End> {
         self.queue.extend(self.requested.try_iter());
