@@ -8,7 +8,6 @@
 //! The valve's backlash makes the loop gain depend on the amplitude: a sine smaller than the backlash moves nothing, a large one
 //! does not notice it. Every loop is therefore measured with two amplitudes.
 
-pub mod complex;
 pub mod injection;
 pub mod iteration;
 pub mod operating_point;
