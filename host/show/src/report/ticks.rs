@@ -1,14 +1,14 @@
-//! Marks of a logarithmic axis; the drawing library has too few for a range of less than a few decades.
+//! Marks of an axis.
 
 use super::curve::Limits;
 
 /// About `wanted` round values within a positive range: decades, or 1, 2, 5 of each, or even steps in a narrow range.
 pub(super) fn logarithmic((low, high): Limits, wanted: usize) -> Vec<f64> {
     let decades = (high / low).log10();
-    let wanted = wanted.max(2) as f64;
     if decades < 0.9 {
         return linear((low, high), wanted);
     }
+    let wanted = wanted.max(2) as f64;
     let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
     let within = |value: &f64| (low..=high).contains(value);
     if decades < 0.5 * wanted {
@@ -20,9 +20,9 @@ pub(super) fn logarithmic((low, high): Limits, wanted: usize) -> Vec<f64> {
     (start..=last).step_by(every).map(|power| 10_f64.powi(power)).filter(within).collect()
 }
 
-/// Even steps of 1, 2 or 5, at most half the range wide, so that at least two marks are inside.
-fn linear((low, high): Limits, wanted: f64) -> Vec<f64> {
-    let widest = 2.0 * (high - low) / wanted.max(4.0);
+/// About `wanted` even steps of 1, 2 or 5 within a range, at most half the range wide, so that at least two marks are inside.
+pub(super) fn linear((low, high): Limits, wanted: usize) -> Vec<f64> {
+    let widest = 2.0 * (high - low) / wanted.max(4) as f64;
     let power = 10_f64.powf(widest.log10().floor());
     let step =
         [5.0, 2.0].map(|digit| digit * power).into_iter().find(|&step| step <= widest).unwrap_or(power);
