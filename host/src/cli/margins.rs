@@ -15,7 +15,7 @@ use judge::accuracy::{self, Accuracy, PhaseEnd, Setup};
 use judge::margins::iteration::{Certificate, Certified, LearningFilter, Spread};
 use judge::margins::residual_gain::ResidualGain;
 use judge::margins::response::Sweep;
-use judge::margins::stability::{Margins, Required};
+use judge::margins::stability::{Margins, RequiredMargins};
 use judge::margins::{MeasuredPoint, PlantMargins, Question, measure};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
@@ -107,7 +107,7 @@ struct Summary {
     period_us: u32,
     seed: u64,
     sweep: Sweep,
-    required: Required,
+    required: RequiredMargins,
     /// Share of the plants that keep the required margins.
     share_robust: f64,
     /// The worst margins of all plants; none if a loop oscillates by itself.
@@ -229,7 +229,7 @@ fn summary(
     plants: Vec<PlantMargins>,
     accuracy: Vec<Declared>,
 ) -> Summary {
-    let required = Required::default();
+    let required = RequiredMargins::default();
     let robust =
         plants.iter().filter(|plant| plant.worst.is_some_and(|worst| worst.keeps(&required))).count();
     let worst: Option<Vec<Margins>> = plants.iter().map(|plant| plant.worst).collect();
@@ -262,7 +262,7 @@ fn print(args: &Args, summary: &Summary) {
         by_pip(&title, &summary.plants[0])
     });
     let robust = (summary.share_robust * summary.plants.len() as f64).round();
-    let Required { ms, gain_margin, delay_margin_ms } = summary.required;
+    let RequiredMargins { ms, gain_margin, delay_margin_ms } = summary.required;
     args.output.line(&format!(
         "{robust} of {} plants keep Ms {ms}, gain margin {gain_margin} and delay margin {delay_margin_ms} ms",
         summary.plants.len()
@@ -416,7 +416,11 @@ fn nyquist(plants: &[PlantMargins]) -> Plot {
         circle("abs(L) = 1", 0.0, 1.0),
         Series {
             color: Some((150, 30, 30)),
-            ..circle(&format!("Ms = {}", Required::default().ms), -1.0, 1.0 / Required::default().ms)
+            ..circle(
+                &format!("Ms = {}", RequiredMargins::default().ms),
+                -1.0,
+                1.0 / RequiredMargins::default().ms,
+            )
         },
     ];
     for (plant, measured) in worst_plants(plants) {

@@ -147,7 +147,7 @@ fn a_hub_goes_on(folder: &Path) {
     rig.worker.send();
     assert_eq!(seen + rig.read(&other).0, rig.tick, "the other page has seen all of them");
     let slow = |text: &&Value| text["type"] == "event" && text["text"].as_str().unwrap().contains("too slow");
-    assert_eq!(texts.iter().filter(slow).count(), 1, "told once");
+    assert_eq!(texts.iter().filter(slow).count(), 1, "reported once");
     let state = rig.text(&other, |text| text["type"] == "state");
     let lost = state["recording"]["lost"].as_u64().unwrap();
     assert!((4500..=5500).contains(&lost), "{state}");
@@ -167,7 +167,7 @@ fn a_hub_goes_on(folder: &Path) {
 }
 
 #[test]
-fn a_disk_that_hangs_delays_no_page_and_what_it_loses_is_told() {
+fn a_disk_that_hangs_delays_no_page_and_what_it_loses_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().to_owned();
     let (done, waits) = channel();

@@ -11,7 +11,7 @@ use shared::breath::period_s;
 use shared::control::{COMMAND_MAX, ControlLaw, Observation};
 use shared::math;
 
-use super::injection::{Injection, InjectionState, Sine};
+use super::injection::{InjectionState, Sine, SineInjection};
 
 /// A plant that is held at an operating point.
 pub trait Process: Clone {
@@ -124,7 +124,7 @@ where
     /// quarter of it, cmH2O.
     pub fn settle<P: Process>(&self, process: P, time_s: f64) -> (Rest<P, C::State>, f64) {
         let none = Sine { amplitude: 0.0, ticks: 1, periods: 1 };
-        let law = Injection::new(self.law, none, self.held_tick);
+        let law = SineInjection::new(self.law, none, self.held_tick);
         let mut state = law.initial_state();
         law.start_breath(&mut state, 0.0);
         let mut rest = Rest { process, state, seen: self.seen };
@@ -165,7 +165,7 @@ where
 
     /// Runs one sine and correlates its window.
     fn run<P: Process>(&self, rest: &Rest<P, C::State>, sine: Sine, sweep: &Sweep) -> Sums {
-        let law = Injection::new(self.law, sine, self.held_tick);
+        let law = SineInjection::new(self.law, sine, self.held_tick);
         let mut run = rest.clone();
         run.state = run.state.restarted();
         let transient = ((sweep.transient_s / self.period_s()) as u32).max(sine.ticks / sine.periods);
@@ -195,7 +195,7 @@ where
 }
 
 /// One tick; returns the command with the sine before the valve's limits.
-fn advance<C: ControlLaw, P: Process>(law: &Injection<'_, C>, run: &mut Rest<P, C::State>) -> f32 {
+fn advance<C: ControlLaw, P: Process>(law: &SineInjection<'_, C>, run: &mut Rest<P, C::State>) -> f32 {
     let asked = law.step(&mut run.state, &run.seen).command;
     let command = math::limit(asked, 0.0, COMMAND_MAX);
     law.applied(&mut run.state, command);

@@ -69,7 +69,7 @@ impl Margins {
     }
 
     /// Whether the margins keep a requirement; an absent margin is beyond the measured frequencies and keeps it.
-    pub fn keeps(&self, required: &Required) -> bool {
+    pub fn keeps(&self, required: &RequiredMargins) -> bool {
         let at_least = |margin: Option<f64>, bound| margin.is_none_or(|margin| margin >= bound);
         self.ms <= required.ms
             && at_least(self.gain_margin, required.gain_margin)
@@ -79,7 +79,7 @@ impl Margins {
 
 /// Margins that a robust loop keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Required {
+pub struct RequiredMargins {
     /// Highest Ms.
     pub ms: f64,
     /// Lowest gain margin.
@@ -88,7 +88,7 @@ pub struct Required {
     pub delay_margin_ms: f64,
 }
 
-impl Default for Required {
+impl Default for RequiredMargins {
     fn default() -> Self {
         Self { ms: 2.0, gain_margin: 2.0, delay_margin_ms: 10.0 }
     }
@@ -246,7 +246,7 @@ mod tests {
             (margins.gain_margin, margins.phase_margin_deg, margins.delay_margin_ms),
             (None, None, None)
         );
-        assert!((margins.ms - 1.0 / 1.1).abs() < 1e-9 && margins.keeps(&Required::default()));
+        assert!((margins.ms - 1.0 / 1.1).abs() < 1e-9 && margins.keeps(&RequiredMargins::default()));
         assert_eq!(Margins::of(&[]), None);
     }
 
@@ -285,7 +285,7 @@ mod tests {
 
     #[test]
     fn a_requirement_is_kept_at_its_bounds() {
-        let required = Required::default();
+        let required = RequiredMargins::default();
         let kept =
             Margins { ms: 2.0, gain_margin: Some(2.0), delay_margin_ms: Some(10.0), ..Margins::default() };
         assert!(kept.keeps(&required));
@@ -298,7 +298,8 @@ mod tests {
 
     #[test]
     fn an_angle_is_unwrapped_to_its_neighbour() {
-        for (angle, near, expected) in [(3.0, -3.0, 3.0 - TAU), (0.5, 0.4, 0.5), (-3.0, 9.0, 2.0 * TAU - 3.0)] {
+        for (angle, near, expected) in [(3.0, -3.0, 3.0 - TAU), (0.5, 0.4, 0.5), (-3.0, 9.0, 2.0 * TAU - 3.0)]
+        {
             assert!((unwrapped(angle, near) - expected).abs() < 1e-12, "{angle} {near}");
         }
     }

@@ -119,11 +119,7 @@ struct Frame {
 impl Frame {
     fn at(&self, (x, y): Point) -> Point {
         let share = |value: f64, (low, high): Limits| (value - low) / (high - low);
-        let up = if self.log_y {
-            share(y.ln(), (self.y.0.ln(), self.y.1.ln()))
-        } else {
-            share(y, self.y)
-        };
+        let up = if self.log_y { share(y.ln(), (self.y.0.ln(), self.y.1.ln())) } else { share(y, self.y) };
         let right = share(x, self.x);
         (self.left + right * (self.right - self.left), self.bottom - up * (self.bottom - self.top))
     }
@@ -144,9 +140,9 @@ fn axes(plot: &Plot, frame: &Frame) -> String {
         elements += &svg::line(&[(x, bottom), (x, bottom + TICK)], INK, 1.0, false);
         elements += &label((x, bottom + TICK + 10.0), "middle", &name);
     }
-    let wanted = (plot.size().1 / 45).max(3) as usize;
+    let count = (plot.size().1 / 45).max(3) as usize;
     let marks = if plot.log_y { ticks::logarithmic } else { ticks::linear };
-    for value in marks(frame.y, wanted) {
+    for value in marks(frame.y, count) {
         let (_, y) = frame.at((frame.x.0, value));
         elements += &svg::line(&[(left, y), (right, y)], FAINT, 1.0, false);
         elements += &svg::line(&[(left - TICK, y), (left, y)], INK, 1.0, false);
@@ -156,7 +152,8 @@ fn axes(plot: &Plot, frame: &Frame) -> String {
     elements += &label(((left + right) / 2.0, bottom + BESIDE_AXES.0 - 8.0), "middle", &plot.x_label);
     // Turned, a text is as far right of its place as it is otherwise above it.
     let (x, y) = (MARGIN + 8.0 + CHARACTER.1 * TEXT_SIZE, (top + bottom) / 2.0);
-    let style = format!("font-size=\"{TEXT_SIZE}\" text-anchor=\"middle\" transform=\"rotate(-90 {x} {y:.1})\"");
+    let style =
+        format!("font-size=\"{TEXT_SIZE}\" text-anchor=\"middle\" transform=\"rotate(-90 {x} {y:.1})\"");
     elements + &svg::text((x, y), &style, &plot.y_label)
 }
 
@@ -176,9 +173,8 @@ fn bars(series: &Series, (place, count): (usize, usize), color: &str, frame: &Fr
     let left = place as f64 * width - BARS_SHARE / 2.0;
     let corner = |point: Point| frame.at(frame.nearest(point));
     let floor = frame.y.0.max(0.0);
-    let bar = |&(x, y): &Point| {
-        svg::rectangle(corner((x + left, floor)), corner((x + left + width, y)), color)
-    };
+    let bar =
+        |&(x, y): &Point| svg::rectangle(corner((x + left, floor)), corner((x + left + width, y)), color);
     series.points.iter().map(bar).collect()
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::super::output::OutputArgs;
-use judge::verdict::{Accuracy, Judged, LimitResult, LungReport, Mean, USUAL, Verdict};
+use judge::verdict::{Judged, LimitResult, LungReport, Mean, PhaseAccuracy, USUAL, Verdict};
 use show::report::{Cell, Table};
 
 /// Prints a verdict with at most `worst` sore spots.
@@ -117,7 +117,7 @@ fn figures(verdict: &Verdict) -> Table {
 }
 
 fn accuracy(verdict: &Verdict) -> Vec<String> {
-    let line = |end: &str, accuracy: Option<Accuracy>| match accuracy {
+    let line = |end: &str, accuracy: Option<PhaseAccuracy>| match accuracy {
         Some(found) => format!(
             "End of {end}: {} covers {} breaths; largest error {:.2} cmH2O, {:.0} % of {USUAL}",
             found.declared,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use monitoring::known::{Known, Reported};
+use monitoring::reported::Reported;
 use serialport::{SerialPort, TTYPort};
 
 use super::*;
@@ -56,12 +56,8 @@ impl Watched {
         let session = Session::start(device);
         let mut watched =
             Self { session, reported: Reported::default(), breaths: 0, samples: 0, refusal: None };
-        watched.until("the first poll", |watched| watched.known().times.is_some());
+        watched.until("the first poll", |watched| watched.reported.times.is_some());
         watched
-    }
-
-    fn known(&self) -> Known<'_> {
-        self.reported.known()
     }
 
     /// Takes news until they have shown what is expected.
@@ -71,7 +67,7 @@ impl Watched {
             assert!(
                 Instant::now() < deadline,
                 "{what} did not come: {:?} {:?}",
-                self.known().mode,
+                self.reported.mode,
                 self.refusal
             );
             if let Some(news) = self.session.next(Duration::from_millis(100)) {
@@ -102,12 +98,12 @@ impl Watched {
     fn start_ventilation(&mut self) {
         self.session.ask(Request::ApplySettings(Settings::default()));
         let deadline = Instant::now() + LONG;
-        while self.known().mode != Some(Mode::Ventilating) {
+        while self.reported.mode != Some(Mode::Ventilating) {
             assert!(Instant::now() < deadline, "it did not start: {:?}", self.refusal);
             self.refusal = None;
             self.session.ask(Request::Start);
             self.until("an answer", |watched| {
-                watched.known().mode == Some(Mode::Ventilating) || watched.refusal.is_some()
+                watched.reported.mode == Some(Mode::Ventilating) || watched.refusal.is_some()
             });
         }
     }
@@ -123,7 +119,7 @@ fn watched() -> (Socket, Simulated, TcpStream, Watched) {
 #[test]
 fn an_operator_starts_sets_and_stops_a_device() {
     let (_socket, _simulated, _cable, mut watched) = watched();
-    assert_eq!(watched.known().mode, Some(Mode::Standby), "watching a device does not start it");
+    assert_eq!(watched.reported.mode, Some(Mode::Standby), "watching a device does not start it");
     let mut reason = watched.refused(Request::Start);
     // The device may still test itself; then this is its first reason.
     while reason.contains("self-test") {
@@ -132,16 +128,16 @@ fn an_operator_starts_sets_and_stops_a_device() {
     assert!(reason.contains("no settings were sent"), "{reason}");
     watched.start_ventilation();
     watched.until("breaths", |watched| watched.breaths >= 2 && watched.samples > 0);
-    assert_eq!(watched.known().mode, Some(Mode::Ventilating));
+    assert_eq!(watched.reported.mode, Some(Mode::Ventilating));
     let settings = Settings { pip: 21.0, ..Settings::default() };
     watched.session.ask(Request::ApplySettings(settings));
     watched.until("the new PIP", |watched| {
-        watched.known().in_force == Some(&settings) && watched.known().pending.is_none()
+        watched.reported.in_force == Some(settings) && watched.reported.pending.is_none()
     });
     let reason = watched.refused(Request::SetController(ControllerChoice::Learned));
     assert!(reason.contains("no valid weights"), "{reason}");
     watched.session.ask(Request::Stop);
-    watched.until("standby", |watched| watched.known().mode == Some(Mode::Standby));
+    watched.until("standby", |watched| watched.reported.mode == Some(Mode::Standby));
     watched.session.leave();
 }
 
@@ -194,18 +190,18 @@ impl Read for LossyReader {
 fn a_broken_line_is_reported_and_opened_again_and_nothing_is_pushed() {
     let (socket, simulated, cable, mut watched) = watched();
     watched.session.ask(Request::ApplySettings(Settings { pip: 21.0, ..Settings::default() }));
-    watched.until("the answer", |watched| watched.known().pending.is_some());
+    watched.until("the answer", |watched| watched.reported.pending.is_some());
     cable.shutdown(std::net::Shutdown::Both).unwrap();
     drop(simulated);
-    watched.until("the loss", |watched| watched.known().lost.is_some());
+    watched.until("the loss", |watched| watched.reported.lost.is_some());
     assert!(watched.refused(Request::Start).contains("nothing was sent"));
     let (_another, _cable) = socket.plug_in();
     watched.until("the greeting", |watched| {
-        watched.known().lost.is_none() && watched.known().in_force.is_some()
+        watched.reported.lost.is_none() && watched.reported.in_force.is_some()
     });
-    assert_eq!(watched.known().pending, None);
-    assert_eq!(watched.known().mode, Some(Mode::Standby), "the start from before never reached it");
-    assert_eq!(watched.known().in_force, Some(&Settings::default()), "nor did the settings");
+    assert_eq!(watched.reported.pending, None);
+    assert_eq!(watched.reported.mode, Some(Mode::Standby), "the start from before never reached it");
+    assert_eq!(watched.reported.in_force, Some(Settings::default()), "nor did the settings");
 }
 
 #[test]
