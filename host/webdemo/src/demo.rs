@@ -71,7 +71,7 @@ impl Demo {
             }
         }
         let mut demo = Self { beds, out: VecDeque::new(), origin_ms: now_ms, ticks: 0.0 };
-        demo.send(&ToPage::Hello(demo.hello()));
+        demo.queue(&ToPage::Hello(demo.hello()));
         Ok(demo)
     }
 
@@ -120,7 +120,7 @@ impl Demo {
     /// Takes a message of the page, at a time in ms since 1970.
     pub fn receive(&mut self, text: &str, now_ms: f64) {
         match FromPage::parse(text) {
-            Err(why) => self.send(&ToPage::Answer(Answer::refused(None, why.to_string()))),
+            Err(why) => self.queue(&ToPage::Answer(Answer::refused(None, why.to_string()))),
             Ok(FromPage::Watch { devices }) => {
                 for (number, bed) in (0..).zip(&mut self.beds) {
                     bed.watched = devices.contains(&number);
@@ -144,24 +144,24 @@ impl Demo {
                 // There is no other page.
                 let _ = bed.patient.wheel.take(VIEWER, PAGE, false);
                 bed.shown = None;
-                self.send(&ToPage::Steerer { device, who: Some(PAGE.to_owned()), yours: true });
+                self.queue(&ToPage::Steerer { device, who: Some(PAGE.to_owned()), yours: true });
             }
             FromPage::Release { .. } => {
                 bed.patient.wheel.release(VIEWER);
                 let _ = bed.patient.ask(Request::ReleaseLease, now_ms);
                 bed.shown = None;
-                self.send(&ToPage::Steerer { device, who: None, yours: false });
+                self.queue(&ToPage::Steerer { device, who: None, yours: false });
             }
             _ => {
                 if let Some(id) = message.id() {
                     let answer = carry_out(bed, device, id, message, now_ms);
-                    self.send(&ToPage::Answer(answer));
+                    self.queue(&ToPage::Answer(answer));
                 }
             }
         }
     }
 
-    fn send(&mut self, message: &ToPage) {
+    fn queue(&mut self, message: &ToPage) {
         self.out.push_back(Message::Text(message.to_json()));
     }
 

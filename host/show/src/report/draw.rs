@@ -149,9 +149,9 @@ fn axes(plot: &Plot, frame: &Frame) -> String {
         elements += &label((left - TICK - 4.0, y), "end", &number(value));
     }
     elements += &svg::line(&[(left, top), (left, bottom), (right, bottom)], INK, 1.0, false);
-    elements += &label(((left + right) / 2.0, bottom + BESIDE_AXES.0 - 8.0), "middle", &plot.x_label);
+    elements += &label((f64::midpoint(left, right), bottom + BESIDE_AXES.0 - 8.0), "middle", &plot.x_label);
     // Turned, a text is as far right of its place as it is otherwise above it.
-    let (x, y) = (MARGIN + 8.0 + CHARACTER.1 * TEXT_SIZE, (top + bottom) / 2.0);
+    let (x, y) = (MARGIN + 8.0 + CHARACTER.1 * TEXT_SIZE, f64::midpoint(top, bottom));
     let style =
         format!("font-size=\"{TEXT_SIZE}\" text-anchor=\"middle\" transform=\"rotate(-90 {x} {y:.1})\"");
     elements + &svg::text((x, y), &style, &plot.y_label)
