@@ -27,7 +27,7 @@ pub fn run(shell: &Shell) -> Result<()> {
     open_files(shell, &trainer, &python)?;
     repeat_margins(shell, &trainer, &python)?;
     run_networks(shell, &trainer, &python)?;
-    open_exports(shell, &trainer, &python)
+    copy_runs(shell, &trainer, &python)
 }
 
 /// Python with the packages: the machine's own, or a virtual environment that is created here.
@@ -132,8 +132,8 @@ fn run_networks(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<(
     trainer.run("evaluate --policy POLICY --pips 20 --breaths 2", &[("POLICY", &policy)])
 }
 
-/// Opens the exported runs of the pipeline with `MLflow` and `TensorBoard`.
-fn open_exports(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
+/// Copies runs into `MLflow` and `TensorBoard`, twice, and compares what these programs then have with the records.
+fn copy_runs(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
     let folder = "target/python/exports";
     // Runs of an earlier call would be there too.
     shell.remove_path(folder)?;
@@ -146,8 +146,12 @@ fn open_exports(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<(
     )?;
     let (store, events) = (format!("{folder}/mlruns"), format!("{folder}/events"));
     let listed = format!("{folder}/runs.json");
-    trainer
-        .run(&format!("runs {folder}/runs --mlflow {store} --tensorboard {events} --json {listed}"), &[])?;
-    cmd!(shell, "{python} {EXAMPLES}/runs.py {listed} {store} {events}").quiet().run()?;
+    trainer.run(&format!("runs {folder}/runs --json {listed}"), &[])?;
+    for _ in 0..2 {
+        cmd!(shell, "{python} {EXAMPLES}/runs.py {folder}/runs --mlflow {store} --tensorboard {events}")
+            .quiet()
+            .run()?;
+    }
+    cmd!(shell, "{python} {EXAMPLES}/runs_check.py {listed} {store} {events}").quiet().run()?;
     Ok(())
 }

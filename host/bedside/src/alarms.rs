@@ -44,7 +44,7 @@ impl AlarmList {
                 entry.acknowledged = false;
                 false
             }
-            // Its beginning was lost on the line. The next report tells whether its condition still holds.
+            // Its beginning was lost on the line. The next report says whether its condition still holds.
             None => self.began(fault, now_ms),
         }
     }
@@ -119,7 +119,7 @@ impl AlarmList {
     /// Present alarms because of which the ventilator does not trust a controller or a reading, in words.
     pub fn distrust(&self) -> Vec<&'static str> {
         let present = self.entries.iter().filter(|(_, entry)| entry.present);
-        let distrusts = present.filter(|(fault, _)| fault.alarm().action != Action::Tell);
+        let distrusts = present.filter(|(fault, _)| fault.alarm().action != Action::Report);
         distrusts.map(|(fault, _)| words::fault(*fault)).collect()
     }
 }
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_tells_the_alarms_whose_own_message_was_lost() {
+    fn a_report_has_the_alarms_whose_own_message_was_lost() {
         let mut list = AlarmList::default();
         let [leak, both] = [&[Fault::Leak][..], &[Fault::Leak, Fault::HighPressure]];
         assert_eq!(list.report(&status(leak, leak), 1), [], "it was there before");

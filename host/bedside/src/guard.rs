@@ -127,7 +127,7 @@ impl Guard {
         }
     }
 
-    /// Checks the headers with which a browser tells where a request comes from, which a page cannot change. Another site may only
+    /// Checks the headers with which a browser says where a request comes from, which a page cannot change. Another site may only
     /// link to the page itself, at `/`.
     ///
     /// # Errors

@@ -5,7 +5,7 @@
 //! has no room for is lost, and counted.
 
 mod numbers;
-mod tape;
+mod recorded_file;
 mod writer;
 
 use std::collections::VecDeque;
@@ -22,7 +22,7 @@ use show::monitor::News;
 
 use crate::stream::{BreathFigures, RecordingInfo, Triggers};
 use numbers::Numbers;
-use tape::{Gap, Stage, Tape};
+use recorded_file::{Gap, RecordedFile, Stage};
 #[cfg(test)]
 pub use writer::WAITING_MAX;
 use writer::{Job, McapHead, RecordError, Report, Which, Writer};
@@ -30,9 +30,9 @@ use writer::{Job, McapHead, RecordError, Report, Which, Writer};
 /// Time before the trigger that a capture contains, and time after it, s.
 const AROUND_S: (f64, f64) = (10.0, 10.0);
 
-/// Something to tell the pages.
+/// Something for the pages.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Told {
+pub enum Notice {
     /// Something that happened.
     Event(String),
     /// What has become of the request to record, or why nothing.
@@ -51,14 +51,14 @@ pub struct Recorder {
     /// The last rows, as long as a capture looks back.
     before: VecDeque<Row>,
     numbers: Numbers,
-    tape: Option<Tape>,
+    recording: Option<RecordedFile>,
     /// Whether the recording has an MCAP file.
     mcap: bool,
     triggers: Triggers,
     /// The capture that runs, and the ticks that are still to come.
-    capture: Option<Tape>,
+    capture: Option<RecordedFile>,
     left: u64,
-    told: Vec<Told>,
+    notices: Vec<Notice>,
 }
 
 impl Recorder {
@@ -72,12 +72,12 @@ impl Recorder {
             writer: Writer::start(),
             before: VecDeque::new(),
             numbers: Numbers::default(),
-            tape: None,
+            recording: None,
             mcap: false,
             triggers: Triggers::default(),
             capture: None,
             left: 0,
-            told: Vec::new(),
+            notices: Vec::new(),
         }
     }
 
@@ -91,7 +91,8 @@ impl Recorder {
 
     /// The recording that takes samples.
     pub fn info(&self) -> Option<RecordingInfo> {
-        let Tape { path, samples, lost, by, .. } = self.tape.as_ref().filter(|tape| tape.takes())?;
+        let RecordedFile { path, samples, lost, by, .. } =
+            self.recording.as_ref().filter(|file| file.takes())?;
         let file = path.display().to_string();
         Some(RecordingInfo { file, samples: *samples, lost: *lost, by: by.clone() })
     }
@@ -110,7 +111,7 @@ impl Recorder {
     }
 
     /// Starts a recording, at a time in ms since 1970, of a device with this identity, if it is known. One that runs goes on.
-    /// [`Told::Started`] follows.
+    /// [`Notice::Started`] follows.
     ///
     /// # Errors
     /// The last one is not finished.
@@ -120,10 +121,10 @@ impl Recorder {
         identity: Option<&DeviceIdentity>,
         by: &str,
     ) -> Result<(), &'static str> {
-        match self.tape.as_ref().map(|tape| tape.stage) {
+        match self.recording.as_ref().map(|file| file.stage) {
             Some(Stage::Opening) => return Ok(()),
             Some(Stage::Open) => {
-                self.told.push(self.started());
+                self.notices.push(self.started());
                 return Ok(());
             }
             Some(Stage::Closing) => return Err("the last recording is still being written: try again soon"),
@@ -136,27 +137,27 @@ impl Recorder {
         });
         let provenance = Box::new(self.provenance(identity));
         self.writer.give(Job::Open { which: Which::Recording, path: path.clone(), provenance, mcap });
-        self.tape = Some(Tape::new(path, by));
+        self.recording = Some(RecordedFile::new(path, by));
         Ok(())
     }
 
-    fn started(&self) -> Told {
-        let path = self.tape.as_ref().map_or_else(String::new, |tape| tape.path.display().to_string());
+    fn started(&self) -> Notice {
+        let path = self.recording.as_ref().map_or_else(String::new, |file| file.path.display().to_string());
         let alone = if self.mcap { "" } else { ", without MCAP: the device is not known" };
-        Told::Started(Ok(format!("recording to {path}{alone}")))
+        Notice::Started(Ok(format!("recording to {path}{alone}")))
     }
 
-    /// Ends the recording; [`Told::Stopped`] follows, if one was running.
+    /// Ends the recording; [`Notice::Stopped`] follows, if one was running.
     pub fn stop(&mut self) -> bool {
         self.close(Which::Recording);
-        self.tape.is_some()
+        self.recording.is_some()
     }
 
     /// Finishes a file.
     fn close(&mut self, which: Which) {
-        if let Some(tape) = self.slot(which).as_mut().filter(|tape| tape.takes()) {
-            tape.stage = Stage::Closing;
-            let notes = tape.gaps();
+        if let Some(file) = self.slot(which).as_mut().filter(|file| file.takes()) {
+            file.stage = Stage::Closing;
+            let notes = file.gaps();
             self.writer.give(Job::Close { which, notes });
         }
     }
@@ -213,8 +214,9 @@ impl Recorder {
             let row = match row {
                 Ok(row) => row,
                 Err(gap) => {
-                    let tapes = self.tape.iter_mut().chain(&mut self.capture).filter(|tape| tape.takes());
-                    tapes.for_each(|tape| tape.leave_out(gap));
+                    let files =
+                        self.recording.iter_mut().chain(&mut self.capture).filter(|file| file.takes());
+                    files.for_each(|file| file.leave_out(gap));
                     continue;
                 }
             };
@@ -223,7 +225,7 @@ impl Recorder {
                 self.before.pop_front();
             }
             recorded.push(row);
-            if self.capture.as_ref().is_some_and(Tape::takes) {
+            if self.capture.as_ref().is_some_and(RecordedFile::takes) {
                 captured.push(row);
                 self.left = self.left.saturating_sub(1);
                 if self.left == 0 {
@@ -242,23 +244,23 @@ impl Recorder {
     /// Adds rows to a file that takes some, if there is room.
     fn add(&mut self, which: Which, rows: Vec<Row>, room: bool, now_ms: u64) {
         let count = rows.len() as u64;
-        let Some(tape) = self.slot(which).as_mut().filter(|tape| tape.takes() && count > 0) else { return };
+        let Some(file) = self.slot(which).as_mut().filter(|file| file.takes() && count > 0) else { return };
         if room {
-            tape.samples += count;
+            file.samples += count;
             self.writer.give(Job::Rows { which, rows });
             return;
         }
-        let first = tape.lost == 0;
-        tape.lost += count;
+        let first = file.lost == 0;
+        file.lost += count;
         if first {
             let what = match which {
                 Which::Recording => "recording",
                 Which::Capture => "capture",
             };
-            self.told.push(Told::Event(format!("the disk is too slow: the {what} loses samples")));
+            self.notices.push(Notice::Event(format!("the disk is too slow: the {what} loses samples")));
         }
         if first && which == Which::Recording {
-            // The only way to tell it in the MCAP file.
+            // The only way to report it in the MCAP file.
             self.note("the disk is too slow: samples are lost from here on", now_ms);
         }
     }
@@ -288,14 +290,14 @@ impl Recorder {
         // One shot: on a sick lung each capture would be followed by the next one, until the disk is full.
         self.triggers = Triggers::default();
         let (which, path) = (Which::Capture, self.path("capture", now_ms));
-        let (tape, room) = (Tape::new(path.clone(), why), self.writer.has_room());
+        let (file, room) = (RecordedFile::new(path.clone(), why), self.writer.has_room());
         self.writer.give(Job::Open { which, path, provenance, mcap: None });
-        (self.capture, self.left) = (Some(tape), self.ticks(AROUND_S.1) as u64);
+        (self.capture, self.left) = (Some(file), self.ticks(AROUND_S.1) as u64);
         self.add(which, self.before.iter().copied().collect(), room, now_ms);
     }
 
     /// What has happened since the last call; never waits.
-    pub fn told(&mut self) -> Vec<Told> {
+    pub fn notices(&mut self) -> Vec<Notice> {
         loop {
             match self.writer.report() {
                 Ok(Some(report)) => self.reported(report),
@@ -307,23 +309,23 @@ impl Recorder {
                 }
             }
         }
-        std::mem::take(&mut self.told)
+        std::mem::take(&mut self.notices)
     }
 
     fn reported(&mut self, report: Report) {
         match report {
             Report::Opened(which) => {
-                if let Some(tape) = self.slot(which).as_mut().filter(|tape| tape.takes()) {
-                    tape.stage = Stage::Open;
+                if let Some(file) = self.slot(which).as_mut().filter(|file| file.takes()) {
+                    file.stage = Stage::Open;
                 }
                 if which == Which::Recording {
-                    self.told.push(self.started());
+                    self.notices.push(self.started());
                 }
             }
             Report::NotOpened(Which::Recording, error) => {
-                self.told.push(Told::Started(Err(error.to_string())));
-                if self.tape.take().is_some_and(|tape| !tape.takes()) {
-                    self.told.push(Told::Stopped(Err(error.to_string())));
+                self.notices.push(Notice::Started(Err(error.to_string())));
+                if self.recording.take().is_some_and(|file| !file.takes()) {
+                    self.notices.push(Notice::Stopped(Err(error.to_string())));
                 }
             }
             Report::NotOpened(Which::Capture, error) | Report::Failed(Which::Capture, error) => {
@@ -331,35 +333,35 @@ impl Recorder {
             }
             Report::Failed(Which::Recording, error) => self.failed(Which::Recording, &error),
             Report::Closed(Which::Recording) => {
-                let content = self.tape.take().map(|tape| tape.content());
-                self.told.extend(content.map(|content| Told::Stopped(Ok(content))));
+                let content = self.recording.take().map(|file| file.content());
+                self.notices.extend(content.map(|content| Notice::Stopped(Ok(content))));
             }
             Report::Closed(Which::Capture) => {
-                let content = self.capture.take().map(|tape| tape.content());
-                let told = content
-                    .map(|content| Told::Event(format!("capture: {content}; the triggers are disarmed")));
-                self.told.extend(told);
+                let content = self.capture.take().map(|file| file.content());
+                let notice = content
+                    .map(|content| Notice::Event(format!("capture: {content}; the triggers are disarmed")));
+                self.notices.extend(notice);
             }
             Report::McapFailed(error) => {
                 self.mcap = false;
-                self.told.push(Told::Event(format!("the MCAP file ends here: {error}")));
+                self.notices.push(Notice::Event(format!("the MCAP file ends here: {error}")));
             }
         }
     }
 
     /// A file is given up.
     fn failed(&mut self, which: Which, error: &RecordError) {
-        let Some(tape) = self.slot(which).take() else { return };
-        self.told.push(match which {
-            Which::Recording if tape.takes() => Told::Event(format!("the recording ends here: {error}")),
-            Which::Recording => Told::Stopped(Err(error.to_string())),
-            Which::Capture => Told::Event(format!("a capture ({}) could not be written: {error}", tape.by)),
+        let Some(file) = self.slot(which).take() else { return };
+        self.notices.push(match which {
+            Which::Recording if file.takes() => Notice::Event(format!("the recording ends here: {error}")),
+            Which::Recording => Notice::Stopped(Err(error.to_string())),
+            Which::Capture => Notice::Event(format!("a capture ({}) could not be written: {error}", file.by)),
         });
     }
 
-    fn slot(&mut self, which: Which) -> &mut Option<Tape> {
+    fn slot(&mut self, which: Which) -> &mut Option<RecordedFile> {
         match which {
-            Which::Recording => &mut self.tape,
+            Which::Recording => &mut self.recording,
             Which::Capture => &mut self.capture,
         }
     }

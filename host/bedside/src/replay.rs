@@ -200,7 +200,7 @@ struct Replay {
     round: u64,
     /// When tick 0 was.
     started: Instant,
-    told: Option<Instant>,
+    reported: Option<Instant>,
     waiting: VecDeque<News>,
 }
 
@@ -217,14 +217,14 @@ impl Replay {
             place: 0,
             round: 0,
             started: Instant::now(),
-            told: None,
+            reported: None,
             waiting: VecDeque::new(),
         }
     }
 
     /// What a device would answer.
-    fn tell_state(&mut self) {
-        self.told = Some(Instant::now());
+    fn report_state(&mut self) {
+        self.reported = Some(Instant::now());
         let mut answer = |request, response| {
             self.waiting.push_back(News::Answer { request, result: Ok(response) });
         };
@@ -278,8 +278,8 @@ impl Replay {
 
 impl Source for Replay {
     fn next(&mut self, patience: Duration) -> Option<News> {
-        if self.told.is_none_or(|told| told.elapsed() >= STATE_EVERY) {
-            self.tell_state();
+        if self.reported.is_none_or(|at| at.elapsed() >= STATE_EVERY) {
+            self.report_state();
         }
         if self.waiting.is_empty() {
             self.advance();

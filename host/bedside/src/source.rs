@@ -59,7 +59,7 @@ pub trait Source: Send {
     fn leave(self: Box<Self>);
 }
 
-/// A source with what pages are told about it.
+/// A source with what pages show of it.
 pub struct Watch {
     /// Name to show.
     pub name: String,

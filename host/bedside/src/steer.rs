@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn one_page_steers_and_others_are_told_which() {
+    fn one_page_steers_and_others_see_which() {
         let mut wheel = Wheel::default();
         assert_eq!(wheel.check(1), Err(SteerError::NotTaken));
         assert_eq!((wheel.take(1, "page 1", false), wheel.take(1, "page 1", false)), (Ok(()), Ok(())));

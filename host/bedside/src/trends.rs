@@ -94,7 +94,7 @@ impl Trends {
         }
     }
 
-    /// What a page is told; none before the first breath.
+    /// What a page gets; none before the first breath.
     pub fn history(&self) -> Option<History> {
         if self.minutes.is_empty() {
             return None;

@@ -16,7 +16,7 @@ pub const VIEWERS_MAX: usize = 32;
 const FRAMES_MAX: usize = 256;
 /// Most waiting sample messages for each watched device.
 const FRAMES_PER_DEVICE: usize = 32;
-/// Most waiting texts that are not states: what a new page is told of as many devices as a server has fits.
+/// Most waiting texts that are not states: what a new page gets for as many devices as a server has fits.
 const TEXTS_MAX: usize = 4096;
 
 /// A message to a page.
@@ -92,7 +92,7 @@ impl Viewer {
     }
 
     /// Queues a text. If it does not fit, the page takes nothing at all: it must start again, and learns everything then.
-    pub fn tell(&self, text: Arc<str>) {
+    pub fn send(&self, text: Arc<str>) {
         let mut queue = self.queue();
         if queue.texts.len() < TEXTS_MAX {
             queue.texts.push_back(text);
@@ -209,13 +209,13 @@ impl Viewers {
     }
 
     /// Queues a text for every page.
-    pub fn tell(&self, text: &Arc<str>) {
-        self.list().iter().for_each(|viewer| viewer.tell(Arc::clone(text)));
+    pub fn send(&self, text: &Arc<str>) {
+        self.list().iter().for_each(|viewer| viewer.send(Arc::clone(text)));
     }
 
     /// Queues a text that depends on the page.
-    pub fn tell_each(&self, text: impl Fn(&Viewer) -> Arc<str>) {
-        self.list().iter().for_each(|viewer| viewer.tell(text(viewer)));
+    pub fn send_each(&self, text: impl Fn(&Viewer) -> Arc<str>) {
+        self.list().iter().for_each(|viewer| viewer.send(text(viewer)));
     }
 
     /// The newest state of each device.
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_loses_the_oldest_samples_and_tells_how_many() {
+    fn a_full_queue_loses_the_oldest_samples_and_counts_them() {
         let (metrics, viewers) = viewers();
         let slow = viewers.add("here", 2).unwrap();
         let quick = viewers.add("there", 2).unwrap();
@@ -307,7 +307,7 @@ mod tests {
         viewers.state(1, &text("old"));
         viewers.state(0, &text("other"));
         viewers.state(1, &text("new"));
-        viewers.tell(&text("answer"));
+        viewers.send(&text("answer"));
         let expected = ["answer", "other", "new"].map(|t| Outgoing::Text(text(t)));
         assert_eq!(waiting(&viewer), expected);
     }
@@ -332,10 +332,10 @@ mod tests {
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         let (_, viewers) = viewers();
         let viewer = viewers.add("here", 2).unwrap();
-        (0..TEXTS_MAX).for_each(|_| viewers.tell(&Arc::from("text")));
+        (0..TEXTS_MAX).for_each(|_| viewers.send(&Arc::from("text")));
         assert!(runtime.block_on(viewer.next()).is_some(), "all of them fit");
-        viewers.tell(&Arc::from("it fits again"));
-        viewers.tell(&Arc::from("one too many"));
+        viewers.send(&Arc::from("it fits again"));
+        viewers.send(&Arc::from("one too many"));
         assert_eq!(runtime.block_on(viewer.next()), None);
         let other = viewers.add("there", 2).unwrap();
         viewers.restart();

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::ops::Range;
 
-use monitoring::known::{Known, Reported};
+use monitoring::reported::Reported;
 use monitoring::{News, words};
 use shared::control::memory::{LEARNING, Lesson};
 use shared::link::messages::{ControllerChoice, Event, LeaseStatus, Request, Response};
@@ -60,9 +60,9 @@ pub enum Out {
 pub struct Watched {
     device: u8,
     period_us: u32,
-    view: Reported,
+    reported: Reported,
     meter: BreathMeter,
-    /// What the device has told of its last breath.
+    /// What the device has reported of its last breath.
     summary: Option<BreathSummary>,
     alarms: AlarmList,
     /// Samples that are not sent yet, and the tick of the first one.
@@ -86,12 +86,12 @@ pub struct Watched {
 }
 
 impl Watched {
-    /// A device of which nothing is known.
+    /// A device of which nothing is reported.
     pub fn new(device: u8, period_us: u32) -> Self {
         Self {
             device,
             period_us,
-            view: Reported::default(),
+            reported: Reported::default(),
             meter: BreathMeter::new(period_us),
             summary: None,
             alarms: AlarmList::default(),
@@ -121,20 +121,19 @@ impl Watched {
     }
 
     /// What the device has reported.
-    pub fn known(&self) -> Known<'_> {
-        self.view.known()
+    pub fn reported(&self) -> &Reported {
+        &self.reported
     }
 
-    /// Settings that apply next, if they are known.
+    /// Settings that apply next, if they are reported.
     pub fn settings(&self) -> Option<&Settings> {
-        let known = self.view.known();
-        known.pending.or(known.in_force)
+        self.reported.pending.as_ref().or(self.reported.in_force.as_ref())
     }
 
     /// Takes a piece of news; samples wait for [`Self::flush`].
     pub fn take(&mut self, news: &News, now_ms: u64, out: &mut Vec<Out>) {
         let (connected, sampled) = (self.is_connected(), self.is_sampled());
-        self.view.take(news);
+        self.reported.take(news);
         if self.is_sampled() && !sampled {
             self.sampled_ms = Some(now_ms);
         }
@@ -163,12 +162,12 @@ impl Watched {
     }
 
     fn is_connected(&self) -> bool {
-        self.view.known().lost.is_none()
+        self.reported.lost.is_none()
     }
 
     /// Whether it should send samples.
     fn is_sampled(&self) -> bool {
-        self.is_connected() && self.view.known().mode == Some(Mode::Ventilating)
+        self.is_connected() && self.reported.mode == Some(Mode::Ventilating)
     }
 
     fn happened(&mut self, event: &Event, now_ms: u64, out: &mut Vec<Out>) {
@@ -205,7 +204,7 @@ impl Watched {
             if self.points.is_empty() {
                 self.first_tick = tick;
             }
-            let (point, figures) = self.meter.take(tick, &packed.unpack(), self.view.known().in_force);
+            let (point, figures) = self.meter.take(tick, &packed.unpack(), self.reported.in_force.as_ref());
             self.points.push(point);
             let device = self.device;
             out.extend(
@@ -256,12 +255,12 @@ impl Watched {
     fn restarted(&mut self, now_ms: u64, out: &mut Vec<Out>) {
         self.start_afresh(out);
         self.alarms.clear();
-        if let Some(status) = self.view.known().status {
+        if let Some(status) = &self.reported.status {
             // The report of the same poll, from after the restart.
             self.alarms.report(status, now_ms);
         }
         let cause =
-            self.view.known().identity.map_or("unknown cause", |identity| words::reset(identity.reset));
+            self.reported.identity.as_ref().map_or("unknown cause", |identity| words::reset(identity.reset));
         out.push(self.event(now_ms, EventKind::Restarted, &format!("the device restarted: {cause}")));
     }
 
@@ -283,8 +282,7 @@ impl Watched {
 
     /// How far the learned controller has adapted to the patient; none if another one is chosen, or before its first breath.
     fn adaptation(&self) -> Option<Adaptation> {
-        let summary =
-            self.summary.filter(|_| self.view.known().controller == Some(ControllerChoice::Learned))?;
+        let summary = self.summary.filter(|_| self.reported.controller == Some(ControllerChoice::Learned))?;
         let last = match summary.lesson {
             Lesson::Adopt => "adopted",
             Lesson::Discard => "discarded",
@@ -314,20 +312,20 @@ impl Watched {
     /// What is missing from the device, if anything is, and why in words, which stay the same while it is missing.
     fn lost(&self, now_ms: u64) -> Option<(Missing, String)> {
         let silent = |since_ms: u64, limit_ms: u64| now_ms.saturating_sub(since_ms) > limit_ms;
-        let told = |missing, why: &str| Some((missing, why.to_owned()));
-        if let Some(lost) = self.view.known().lost {
-            return told(Missing::Line, lost);
+        let because = |missing, why: &str| Some((missing, why.to_owned()));
+        if let Some(lost) = &self.reported.lost {
+            return because(Missing::Line, lost);
         }
         match self.answered_ms {
-            None => return told(Missing::Answers, "waiting for the device's first answer"),
+            None => return because(Missing::Answers, "waiting for the device's first answer"),
             Some(answered) if silent(answered, UNANSWERED_MS) => {
-                return told(Missing::Answers, "the device does not answer");
+                return because(Missing::Answers, "the device does not answer");
             }
             Some(_) => {}
         }
         let unsampled = !self.replays && self.is_sampled();
         if unsampled && self.sampled_ms.is_none_or(|sampled| silent(sampled, UNSAMPLED_MS)) {
-            return told(Missing::Samples, "the device ventilates, but no samples arrive");
+            return because(Missing::Samples, "the device ventilates, but no samples arrive");
         }
         None
     }
@@ -340,27 +338,30 @@ impl Watched {
         recording: Option<RecordingInfo>,
         triggers: Option<Triggers>,
     ) -> State {
-        let known = self.view.known();
+        let reported = &self.reported;
         let (missing, lost) = self.lost(now_ms).unzip();
-        let audio = known.audio.unwrap_or_default();
+        let audio = reported.audio.unwrap_or_default();
         State {
             device: self.device,
             connected: lost.is_none(),
             lost,
             missing,
-            mode: known.mode.map(words::mode).unwrap_or_default(),
-            safe_state: matches!(known.mode, Some(Mode::Fault(_))),
-            ventilating: known.mode == Some(Mode::Ventilating),
-            controller: known.controller.map(words::controller).unwrap_or_default(),
-            level: known.status.map_or("", |status| in_command(status.level, known.controller)),
+            mode: reported.mode.map(words::mode).unwrap_or_default(),
+            safe_state: matches!(reported.mode, Some(Mode::Fault(_))),
+            ventilating: reported.mode == Some(Mode::Ventilating),
+            controller: reported.controller.map(words::controller).unwrap_or_default(),
+            level: reported
+                .status
+                .as_ref()
+                .map_or("", |status| in_command(status.level, reported.controller)),
             distrust: self.alarms.distrust(),
             adaptation: self.adaptation(),
-            settings: known.in_force.copied(),
-            pending: known.pending.copied(),
+            settings: reported.in_force,
+            pending: reported.pending,
             alarms: self.alarms.list(),
             audio: Audio { priority: audio.priority.map(words::priority), pause_left: audio.pause_left },
             steered_by: page.map(str::to_owned),
-            lease: known.lease.and_then(holder),
+            lease: reported.lease.as_ref().and_then(holder),
             ticks: self.ticks(),
             line: self.line,
             recording,
@@ -369,7 +370,7 @@ impl Watched {
     }
 
     fn ticks(&self) -> Ticks {
-        self.view.known().times.map_or_else(Ticks::default, |times| {
+        self.reported.times.as_ref().map_or_else(Ticks::default, |times| {
             // A simulated device has no core clock: all its times are zero.
             let us = |cycles: f32| (times.work.longest > 0).then(|| times.microseconds(cycles));
             let (mean_us, worst_us) = (us(times.work.mean), us(times.work.longest as f32));

@@ -1,4 +1,4 @@
-//! This program as a host: the name that other hosts are told, and the token of a connection.
+//! This program as a host: the name that other hosts see, and the token of a connection.
 
 use std::env;
 use std::fs;
@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_tells_user_computer_and_process() {
+    fn a_name_has_user_computer_and_process() {
         assert_eq!(composed("anna", "icu-3", 4711).as_str(), "anna@icu-3#4711");
         let long = composed("a-very-long-user", "a-very-long-computer", u32::MAX);
         assert_eq!(long.as_str(), "a-very-lon@a-very-lon#4294967295");

@@ -66,8 +66,8 @@ impl fmt::Display for Address {
 #[expect(missing_docs, reason = "the message names every field")]
 pub enum PortError {
     /// The port does not exist.
-    #[error("there is no port {name}; {found}")]
-    Missing { name: String, found: String },
+    #[error("there is no port {name}; {available}")]
+    Missing { name: String, available: String },
     /// Another program uses the port.
     #[error("{0} is in use by another program: end that program first")]
     Busy(String),
@@ -111,7 +111,7 @@ fn serial(name: &str, baud: u32) -> Result<Port, PortError> {
     let failed = |error: &serialport::Error| match error.kind {
         serialport::ErrorKind::NoDevice if Path::new(name).exists() => PortError::Busy(name.to_owned()),
         serialport::ErrorKind::NoDevice | serialport::ErrorKind::Io(io::ErrorKind::NotFound) => {
-            PortError::Missing { name: name.to_owned(), found: found() }
+            PortError::Missing { name: name.to_owned(), available: available() }
         }
         serialport::ErrorKind::Io(io::ErrorKind::PermissionDenied) => PortError::Permission(name.to_owned()),
         _ => PortError::Open { name: name.to_owned(), reason: error.to_string() },
@@ -122,7 +122,7 @@ fn serial(name: &str, baud: u32) -> Result<Port, PortError> {
 }
 
 /// The serial ports of this computer, as a clause of an error message.
-fn found() -> String {
+fn available() -> String {
     let names: Vec<String> =
         serialport::available_ports().unwrap_or_default().into_iter().map(|port| port.port_name).collect();
     if names.is_empty() {
@@ -155,13 +155,13 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_is_not_there_is_told_with_those_that_are() {
+    fn a_port_that_is_not_there_is_refused_with_those_that_are() {
         let error = Port::open(&"/dev/no-such-port".parse().unwrap()).err().unwrap();
         assert!(matches!(error, PortError::Missing { .. }), "{error}");
     }
 
     #[test]
-    fn an_address_where_nobody_listens_is_told() {
+    fn an_address_where_nobody_listens_is_refused() {
         let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let address = Address::Tcp(listener.local_addr().unwrap().to_string());
         drop(listener);

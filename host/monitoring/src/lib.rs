@@ -1,10 +1,11 @@
-//! What a device tells, for every display of it: news, what is [`known`] from them, [`words`], and the [`curve`] of an inspiration.
+//! What a device reports, for every display of it: news, the state that they have [`reported`], [`words`], and the [`curve`] of an
+//! inspiration.
 //!
 //! Neither clock nor port nor thread: it compiles for a browser, too.
 #![forbid(unsafe_code)]
 
 pub mod curve;
-pub mod known;
+pub mod reported;
 pub mod words;
 
 use serde::Serialize;

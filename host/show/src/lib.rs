@@ -1,4 +1,4 @@
-//! Output for people: reports with figures, a device in the terminal, a flight recorder on a page.
+//! Output for people: reports with figures, a watched device in lines, a flight recorder on a page.
 #![forbid(unsafe_code)]
 
 pub mod blackbox;

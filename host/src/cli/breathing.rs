@@ -3,7 +3,7 @@
 use serde::Serialize;
 use shared::control::pid::PidGains;
 
-use score::breathing::{Breathing, Kinds};
+use score::breathing::{BreathingScores, Kinds};
 use show::report::{Cell, Table};
 
 /// Columns of scores, with the number of decimals.
@@ -36,11 +36,11 @@ pub struct Summary {
     pub controllers: Vec<String>,
     /// The scores.
     #[serde(flatten)]
-    pub breathing: Breathing,
+    pub breathing: BreathingScores,
 }
 
 /// The scores as a table: patients by lung and effort, then the mean.
-pub fn table(breathing: &Breathing, controllers: &[String], title: &str) -> Table {
+pub fn table(breathing: &BreathingScores, controllers: &[String], title: &str) -> Table {
     let mut table = Table::new(title, &["lung", "effort, cmH2O", "controller"]);
     table.header.extend(COLUMNS.map(|(name, ..)| name.to_owned()));
     for patients in &breathing.patients {
@@ -75,7 +75,7 @@ mod tests {
             triggered_breaths: 8,
             controllers: vec![kinds, none],
         };
-        let breathing = Breathing { patients: vec![patients], mean: vec![kinds, none] };
+        let breathing = BreathingScores { patients: vec![patients], mean: vec![kinds, none] };
         let text = table(&breathing, &["PID".to_owned(), "learned".to_owned()], "").to_plain();
         assert_eq!((text.matches("1.200").count(), text.matches("1.500").count()), (2, 4), "{text}");
         assert_eq!(text.matches(" -").count(), 6, "{text}");

@@ -12,7 +12,7 @@ use crate::args::controller::{Chosen, ControllerArgs};
 use crate::command::{Command, Context, Makes, Output, OutputArgs, write};
 use margins::iteration::{Certificate, Certified, LearningFilter, Spread};
 use margins::response::Sweep;
-use margins::stability::{Margins, Required};
+use margins::stability::{Margins, RequiredMargins};
 use margins::{MeasuredPoint, Overall, PlantMargins, Question, measure};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
@@ -104,7 +104,7 @@ pub struct Summary {
     period_us: u32,
     seed: u64,
     sweep: Sweep,
-    required: Required,
+    required: RequiredMargins,
     #[serde(flatten)]
     overall: Overall,
     accuracy: Vec<Declared>,
@@ -192,7 +192,7 @@ fn summary(
     plants: Vec<PlantMargins>,
     accuracy: Vec<Declared>,
 ) -> Summary {
-    let required = Required::default();
+    let required = RequiredMargins::default();
     let learning = learning_of(args, chosen).map(|filter| Certificate::of(filter, &plants, chosen.period_us));
     Summary {
         controller: chosen.name.clone(),
@@ -219,7 +219,7 @@ fn print(args: &Args, summary: &Summary, context: &Context<'_>) {
         by_pip(&title, &summary.plants[0])
     });
     let robust = (summary.overall.share_robust * summary.plants.len() as f64).round();
-    let Required { ms, gain_margin, delay_margin_ms } = summary.required;
+    let RequiredMargins { ms, gain_margin, delay_margin_ms } = summary.required;
     context.line(&format!(
         "{robust} of {} plants keep Ms {ms}, gain margin {gain_margin} and delay margin {delay_margin_ms} ms",
         summary.plants.len()
@@ -373,7 +373,11 @@ fn nyquist(plants: &[PlantMargins]) -> Plot {
         circle("abs(L) = 1", 0.0, 1.0),
         Series {
             color: Some((150, 30, 30)),
-            ..circle(&format!("Ms = {}", Required::default().ms), -1.0, 1.0 / Required::default().ms)
+            ..circle(
+                &format!("Ms = {}", RequiredMargins::default().ms),
+                -1.0,
+                1.0 / RequiredMargins::default().ms,
+            )
         },
     ];
     for (plant, measured) in worst_plants(plants) {

@@ -1,13 +1,12 @@
-//! `trainer monitor`: shows a device's state, and lets an operator start, stop and set it.
+//! `trainer monitor`: writes what a device reports, as lines or once, and as an MCAP file.
 
-use std::io::{IsTerminal, Write, stdout};
+use std::io::{Write, stdout};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::bail;
+use clap::{Arg, ArgAction};
 use serde::Serialize;
-use shared::control::pid::PidGains;
-use shared::device::KNOWN_GOOD;
 use shared::device::annunciator::AudioStatus;
 use shared::link::messages::{AlarmStatus, DeviceIdentity, LeaseStatus};
 use shared::safety::alarms::Fault;
@@ -15,7 +14,6 @@ use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Settings};
 use shared::timing::TickTimes;
 
-use crate::args::gains::{format_gains, gains};
 use crate::args::port::warn_of_development_build;
 use crate::command::{Command, Context, Output, OutputArgs};
 use data::export::mcap::Counts;
@@ -25,45 +23,31 @@ use show::monitor::News;
 use show::monitor::capture::Capture;
 use show::monitor::plain::Lines;
 use show::monitor::session::Session;
-use show::monitor::view::View;
-use show::monitor::{terminal, words};
+use show::monitor::words;
 use show::report::{Cell, Table};
 
-/// Show a device's pressure, breaths, alarms and tick times; start, stop and set it by keys
+/// Write a device's breaths, alarms, state and losses as lines
 #[derive(Debug, clap::Args)]
-#[command(after_help = "\
+#[command(arg = plain(), after_help = "\
 Examples:
   trainer monitor --port /dev/ttyACM0
-  trainer monitor --port tcp:localhost:5555 --plain | tee night.log
+  trainer monitor --port tcp:localhost:5555 | tee night.log
   trainer monitor --port COM3 --once --json -
   trainer monitor --port /dev/ttyACM0 --mcap night.mcap
 
-Keys: space starts and stops, c confirms the settings shown (a device starts only with settings that
-were sent since it went to standby), a acknowledges all alarms, m pauses the sounder for 120 s or
-ends the pause, up and down change PIP, left and right the rate, p switches between PID and learned
-weights, q quits. The monitor only reads the state of the device and sends the request of a key.
-Quitting leaves the device as it is; ventilation continues.
-
-One program at a time steers a device: the first key acquires its lease, quitting gives it back, and
-meanwhile every other program only reads. The key t takes the lease from another program, for an
-operator at the bedside who must stop ventilation or acknowledge an alarm.
+The monitor only reads: it changes nothing on the device, and when it ends, ventilation continues.
+`trainer serve` shows charts in a browser and, with --steer, starts, stops and sets the device.
 
 --mcap also writes every sample, alarm and the device's state to a new file that Foxglove and
-PlotJuggler open. Quitting and Ctrl-C finish the file, also while the connection is lost; a program
-that is killed loses the last second at most (docs/FILES.md).")]
+PlotJuggler open. Ctrl-C finishes the file, also while the connection is lost; a program that is
+killed loses the last second at most (docs/FILES.md).")]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     port: Address,
-    /// Write lines in place of charts; automatic if the output is not a terminal
-    #[arg(long, conflicts_with = "once")]
-    plain: bool,
     /// Print the device's state once and exit
     #[arg(long)]
     once: bool,
-    /// PID gains P,I,D for the key p on a device that has reported none of its own
-    #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&KNOWN_GOOD))]
-    gains: PidGains,
     #[command(flatten)]
     output: OutputArgs,
     #[arg(
@@ -75,7 +59,13 @@ pub struct Args {
     mcap: Option<PathBuf>,
 }
 
-/// How long the line output waits for an event before it checks whether to stop.
+/// The option that names the default.
+fn plain() -> Arg {
+    let plain = Arg::new("plain").long("plain").action(ArgAction::SetTrue);
+    plain.conflicts_with("once").help("Write lines as the state changes, until Ctrl-C [default]")
+}
+
+/// Longest wait for news before it checks whether to stop.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 impl Command for Args {
@@ -98,35 +88,20 @@ impl Command for Args {
         // Report a device that does not answer immediately; later, wait for a lost device to return.
         let identity = device.identify()?;
         warn_of_development_build(&identity);
-        let mut tape = Tape::new(self, &identity)?;
+        let mut file = McapFile::new(self, &identity)?;
         let session = Session::start(device);
-        let shown = watch(self, &session, &mut tape, context);
+        write_lines(&session, &mut file, self.output.json.as_deref() == Some(Path::new("-")), context);
         session.leave();
-        let captured = tape.finish(context)?;
-        shown?;
-        Ok(captured.map(Outcome::Captured))
+        Ok(file.finish(context)?.map(Outcome::Captured))
     }
-}
-
-/// Shows the device in charts or in lines until the operator quits.
-fn watch(args: &Args, session: &Session, tape: &mut Tape, context: &Context<'_>) -> anyhow::Result<()> {
-    let only_json = args.output.json.as_deref() == Some(Path::new("-"));
-    if args.plain || only_json || !stdout().is_terminal() {
-        write_lines(session, tape, only_json, context);
-        return Ok(());
-    }
-    let mut view = View::new(args.port.to_string(), args.gains);
-    let shown = terminal::run(session, &mut view, &mut |news| _ = tape.take(news), context.stop());
-    context.line(&view.farewell());
-    Ok(shown?)
 }
 
 /// Writes lines until Ctrl-C, or until the reader closes the output; none if it is only for JSON.
-fn write_lines(session: &Session, tape: &mut Tape, only_json: bool, context: &Context<'_>) {
+fn write_lines(session: &Session, file: &mut McapFile, only_json: bool, context: &Context<'_>) {
     let mut lines = Lines::default();
     while !context.stopped() {
         let Some(news) = session.next(PATIENCE) else { continue };
-        if tape.take(&news) {
+        if file.take(&news) {
             eprintln!(
                 "warning: the file of --mcap ends here, because it cannot be written; watching goes on"
             );
@@ -140,9 +115,9 @@ fn write_lines(session: &Session, tape: &mut Tape, only_json: bool, context: &Co
 }
 
 /// The file of `--mcap`, if it is requested.
-struct Tape(Option<(PathBuf, Capture)>);
+struct McapFile(Option<(PathBuf, Capture)>);
 
-impl Tape {
+impl McapFile {
     fn new(args: &Args, identity: &DeviceIdentity) -> anyhow::Result<Self> {
         let capture = |path: &PathBuf| {
             Ok((path.clone(), Capture::create(path, &args.port.to_string(), identity, now_ns())?))
@@ -283,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn a_setting_that_waits_for_its_breath_is_told_beside_the_one_in_force() {
+    fn a_setting_that_waits_for_its_breath_is_shown_beside_the_one_in_force() {
         let identity = DeviceIdentity {
             protocol: PROTOCOL,
             firmware: [0, 1, 0],

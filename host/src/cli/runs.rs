@@ -1,4 +1,4 @@
-//! `trainer runs`: lists, compares, plots and exports the runs that left a record in a folder.
+//! `trainer runs`: lists, compares and plots the runs that left a record in a folder.
 
 use std::path::PathBuf;
 
@@ -8,12 +8,12 @@ use serde::Serialize;
 use crate::command::{Command, Context, Output, OutputArgs, write};
 use campaign::record::{Ending, Record, State};
 use experiments::runs::{
-    Comparison, OptionDifference, Run, RunsError, check_figure, figure_names, find, listed, mlflow, named,
-    plots, sort, tensorboard,
+    Comparison, OptionDifference, Run, RunsError, check_figure, figure_names, find, listed, named, plots,
+    sort,
 };
 use show::report::{Block, Cell, Plot, Report, Section, Table};
 
-/// List, compare, plot and export runs, from the records that commands leave in their folders
+/// List, compare and plot runs, from the records that commands leave in their folders
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -22,8 +22,6 @@ Examples:
   trainer runs out --compare seed-1 seed-2
   trainer runs out/sweep --figure mean.learned --plot learned.svg --x seed
   trainer runs out --plot curves.svg --report runs.html
-  trainer runs out --mlflow mlruns
-  trainer runs out --tensorboard events        # then: tensorboard --logdir events
 
 A record is the file made-by.json in the folder of a command with --out, or, for a command that
 writes only --json FILE.json, FILE.made-by.json: program, command with all options, machine, engine,
@@ -32,8 +30,8 @@ of this path that no other run has. Figures are paths into the JSON, such as mea
 curve the list shows the last value.
 
 Killed: the process has disappeared. Unfinished: the run began on a different machine and has not
-ended; it may still be running. MLflow reads the exported store if MLFLOW_ALLOW_FILE_STORE is true;
-a second export replaces the same runs.")]
+ended; it may still be running. examples/python/runs.py copies the records into MLflow and
+TensorBoard.")]
 pub struct Args {
     /// Folder to search, with all folders below
     #[arg(value_name = "DIR")]
@@ -59,10 +57,6 @@ pub struct Args {
     /// Write list, comparison and plots to an HTML report
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
-    #[arg(long, value_name = "DIR", help = "Export the runs to a file store of MLflow")]
-    mlflow: Option<PathBuf>,
-    #[arg(long, value_name = "DIR", help = "Export the runs to event files of TensorBoard")]
-    tensorboard: Option<PathBuf>,
     /// Also list the tasks with shards
     #[arg(long)]
     tasks: bool,
@@ -117,14 +111,6 @@ impl Command for Args {
             context.saved(file);
         }
         context.report(self.report.as_ref(), || self.report(&runs, tables))?;
-        for (folder, export) in
-            [(&self.mlflow, mlflow as fn(&[_], &_) -> _), (&self.tensorboard, tensorboard)]
-        {
-            if let Some(folder) = folder {
-                export(&runs, folder)?;
-                context.line(&format!("exported {} run(s) to {}", runs.len(), folder.display()));
-            }
-        }
         Ok(Some(Summary { runs: runs.into_iter().map(Listed::of).collect(), comparison }))
     }
 }

@@ -45,7 +45,7 @@ fn every_run_leaves_a_record_of_what_made_it() {
 }
 
 #[test]
-fn runs_are_compared_plotted_reported_and_exported() {
+fn runs_are_compared_plotted_and_reported() {
     let place = four_runs();
     let found = place.json("runs out --compare train-5 out/train-6");
     let options = found["comparison"]["options"].as_array().unwrap();
@@ -59,12 +59,9 @@ fn runs_are_compared_plotted_reported_and_exported() {
     {
         assert!(fs::read_to_string(place.path(file)).unwrap().contains(text), "{file}");
     }
-    let exported = place.ok("runs out --mlflow mlruns --tensorboard events");
-    assert!(exported.contains("exported 4 run(s) to mlruns"), "{exported}");
-    assert_eq!(fs::read_dir(place.path("mlruns")).unwrap().count(), 2, "an experiment for each command");
-    assert_eq!(fs::read_dir(place.path("events/train-5")).unwrap().count(), 1);
+    fs::create_dir(place.path("empty")).unwrap();
     for (line, reason) in [
-        ("runs events", "contains no runs: commands with --out leave a made-by.json"),
+        ("runs empty", "contains no runs: commands with --out leave a made-by.json"),
         ("runs nowhere", "cannot read nowhere"),
         ("runs out --figure score", "no run has a figure or a curve score: choose among"),
         ("runs out --compare train-5 train-7", "there is no run train-7: choose among"),

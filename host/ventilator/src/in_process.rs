@@ -129,7 +129,7 @@ where
     ///
     /// # Errors
     /// Refused settings or a plant that cannot be reset.
-    pub fn begin(&mut self, settings: &Settings) -> Result<Breathing<'_, P, C>, SourceError> {
+    pub fn begin(&mut self, settings: &Settings) -> Result<RunningBreath<'_, P, C>, SourceError> {
         if self.run.is_none() {
             self.run = Some(self.start(settings)?);
         }
@@ -140,9 +140,9 @@ where
 
     /// The running breath; none before the first one.
     #[inline]
-    pub fn breathing(&mut self) -> Option<Breathing<'_, P, C>> {
+    pub fn breathing(&mut self) -> Option<RunningBreath<'_, P, C>> {
         let Self { plant, ventilator, goes_on, run, .. } = self;
-        Some(Breathing { plant, ventilator, goes_on: *goes_on, run: run.as_mut()? })
+        Some(RunningBreath { plant, ventilator, goes_on: *goes_on, run: run.as_mut()? })
     }
 
     /// Whether an effort of the patient starts the next breath.
@@ -160,7 +160,7 @@ where
 
 /// A breath that runs tick by tick.
 #[derive(Debug)]
-pub struct Breathing<'a, P, C: ControlLaw> {
+pub struct RunningBreath<'a, P, C: ControlLaw> {
     plant: &'a mut P,
     ventilator: &'a mut Ventilator<C>,
     /// As in [`InProcess`].
@@ -168,7 +168,7 @@ pub struct Breathing<'a, P, C: ControlLaw> {
     run: &'a mut Run<C::State>,
 }
 
-impl<P, C: ControlLaw> Breathing<'_, P, C> {
+impl<P, C: ControlLaw> RunningBreath<'_, P, C> {
     /// The plant's reading at the start of the next tick.
     pub fn reading(&self) -> &Reading {
         &self.run.reading
@@ -190,7 +190,7 @@ impl<P, C: ControlLaw> Breathing<'_, P, C> {
     }
 }
 
-impl<P: Plant, C: ControlLaw> Breathing<'_, P, C>
+impl<P: Plant, C: ControlLaw> RunningBreath<'_, P, C>
 where
     SourceError: From<P::Error>,
 {

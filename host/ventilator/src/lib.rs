@@ -15,7 +15,7 @@ mod tests;
 #[cfg(unix)]
 mod virtual_board;
 
-pub use in_process::{BalloonSource, BenchSource, Breathing, InProcess, PlantSource, SharedLink};
+pub use in_process::{BalloonSource, BenchSource, InProcess, PlantSource, RunningBreath, SharedLink};
 pub use port::PortSource;
 
 use shared::control::Controller;

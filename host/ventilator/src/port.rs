@@ -231,7 +231,7 @@ impl PortSource {
                 self.alarm = Some(self.finding.unwrap_or(fault));
             }
             Action::Backup => self.finding = Some(fault),
-            Action::Tell | Action::Pid | Action::CappedPid => {}
+            Action::Report | Action::Pid | Action::CappedPid => {}
         }
         Ok(())
     }

@@ -65,7 +65,7 @@ impl FromStr for Band {
 
 /// Errors at the end of one phase, over many breaths.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Accuracy {
+pub struct PhaseAccuracy {
     /// Number of breaths.
     pub breaths: usize,
     /// Largest absolute error, cmH2O.
@@ -78,12 +78,12 @@ pub struct Accuracy {
 }
 
 /// The accuracy that covers all pairs of set pressure and absolute error, cmH2O; `None` without pairs.
-pub(super) fn accuracy(errors: &[(f64, f64)]) -> Option<Accuracy> {
+pub(super) fn accuracy(errors: &[(f64, f64)]) -> Option<PhaseAccuracy> {
     let largest = errors.iter().map(|(_, error)| *error).reduce(f64::max)?;
     let shares = errors.iter().map(|(set, error)| error / USUAL.at(*set));
     let band = tightest(errors);
     let up = |value: f64| (value / STEP - 1e-9).ceil().max(0.0) / (1.0 / STEP);
-    Some(Accuracy {
+    Some(PhaseAccuracy {
         breaths: errors.len(),
         largest,
         declared: Band { fixed: up(band.fixed), percent: up(band.percent) },

@@ -5,7 +5,7 @@
 //! figure that cannot be known is absent with a remark, and a breath that cannot be judged is listed with the reason.
 //!
 //! [`judge`] gives the figures of each breath ([`Figures`]), the fields of a test report for each lung and pair of
-//! settings ([`LungReport`]), the accuracy as manufacturers declare it ([`Accuracy`]), the result of declared limits
+//! settings ([`LungReport`]), the accuracy as manufacturers declare it ([`PhaseAccuracy`]), the result of declared limits
 //! ([`LimitResult`]) and the *sore spots*, the worst breath of each kind of trouble in words ([`SoreSpot`]).
 #![forbid(unsafe_code)]
 
@@ -28,7 +28,7 @@ use std::ops::Range;
 use serde::Serialize;
 use thiserror::Error;
 
-pub use self::accuracy::{Accuracy, Band, NoBand, USUAL};
+pub use self::accuracy::{Band, NoBand, PhaseAccuracy, USUAL};
 use self::curve::BreathCurve;
 pub use self::curve::Refusal;
 use self::figures::Context;
@@ -149,9 +149,9 @@ pub struct Verdict {
     /// Share of the inspiratory ticks with a random perturbation, 0 to 1: those breaths do not show the controller alone.
     pub explored: f64,
     /// Accuracy at the end of the inspiration, in relation to the target there.
-    pub accuracy_inspiration: Option<Accuracy>,
+    pub accuracy_inspiration: Option<PhaseAccuracy>,
     /// Accuracy at the end of the expiration, in relation to PEEP.
-    pub accuracy_expiration: Option<Accuracy>,
+    pub accuracy_expiration: Option<PhaseAccuracy>,
     /// Report of each lung and pair of settings.
     pub lungs: Vec<LungReport>,
     /// Sore spots, the most severe first.

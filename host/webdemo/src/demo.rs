@@ -39,10 +39,10 @@ pub enum Message {
     Samples(Vec<u8>),
 }
 
-/// A device with what the page has been told and wants to be told.
+/// A device with what the page has and asks for.
 struct Bed {
     patient: Patient,
-    wanted: bool,
+    watched: bool,
     /// The state that was shown last, and when.
     shown: Option<(State, u64)>,
 }
@@ -67,11 +67,11 @@ impl Demo {
             for (title, controller) in [("PID", Ok(RIVAL)), (CONTROLLER.0, Err(CONTROLLER.1))] {
                 let number = beds.len() as u8;
                 let patient = Patient::start(number, title, &bench, controller)?;
-                beds.push(Bed { patient, wanted: true, shown: None });
+                beds.push(Bed { patient, watched: true, shown: None });
             }
         }
         let mut demo = Self { beds, out: VecDeque::new(), origin_ms: now_ms, ticks: 0.0 };
-        demo.tell(&ToPage::Hello(demo.hello()));
+        demo.queue(&ToPage::Hello(demo.hello()));
         Ok(demo)
     }
 
@@ -120,10 +120,10 @@ impl Demo {
     /// Takes a message of the page, at a time in ms since 1970.
     pub fn receive(&mut self, text: &str, now_ms: f64) {
         match FromPage::parse(text) {
-            Err(why) => self.tell(&ToPage::Answer(Answer::refused(None, why.to_string()))),
+            Err(why) => self.queue(&ToPage::Answer(Answer::refused(None, why.to_string()))),
             Ok(FromPage::Watch { devices }) => {
                 for (number, bed) in (0..).zip(&mut self.beds) {
-                    bed.wanted = devices.contains(&number);
+                    bed.watched = devices.contains(&number);
                 }
             }
             Ok(message) => {
@@ -144,24 +144,24 @@ impl Demo {
                 // There is no other page.
                 let _ = bed.patient.wheel.take(VIEWER, PAGE, false);
                 bed.shown = None;
-                self.tell(&ToPage::Steerer { device, who: Some(PAGE.to_owned()), yours: true });
+                self.queue(&ToPage::Steerer { device, who: Some(PAGE.to_owned()), yours: true });
             }
             FromPage::Release { .. } => {
                 bed.patient.wheel.release(VIEWER);
                 let _ = bed.patient.ask(Request::ReleaseLease, now_ms);
                 bed.shown = None;
-                self.tell(&ToPage::Steerer { device, who: None, yours: false });
+                self.queue(&ToPage::Steerer { device, who: None, yours: false });
             }
             _ => {
                 if let Some(id) = message.id() {
                     let answer = carry_out(bed, device, id, message, now_ms);
-                    self.tell(&ToPage::Answer(answer));
+                    self.queue(&ToPage::Answer(answer));
                 }
             }
         }
     }
 
-    fn tell(&mut self, message: &ToPage) {
+    fn queue(&mut self, message: &ToPage) {
         self.out.push_back(Message::Text(message.to_json()));
     }
 
@@ -170,7 +170,7 @@ impl Demo {
         for bed in &mut self.beds {
             for out in bed.patient.out.drain(..) {
                 match out {
-                    Out::Frame(frame) if bed.wanted => self.out.push_back(Message::Samples(frame.bytes(0))),
+                    Out::Frame(frame) if bed.watched => self.out.push_back(Message::Samples(frame.bytes(0))),
                     Out::Frame(_) => {}
                     Out::Message(message) => self.out.push_back(Message::Text(message.to_json())),
                 }

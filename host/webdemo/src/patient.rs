@@ -137,7 +137,7 @@ impl Patient {
             Some(response) => Ok(response),
             None => Err("the device does not answer".to_owned()),
         };
-        self.tell(&News::Answer { request, result: result.clone() }, now_ms);
+        self.take(&News::Answer { request, result: result.clone() }, now_ms);
         result
     }
 
@@ -169,7 +169,7 @@ impl Patient {
             // A refusal is news, too.
             let _ = self.ask(request, now_ms);
         }
-        self.tell(&News::Traffic(self.counters), now_ms);
+        self.take(&News::Traffic(self.counters), now_ms);
     }
 
     /// Reads what the device has sent; returns the answer to the last request, if it is there.
@@ -183,7 +183,7 @@ impl Patient {
                 }
                 Ok(ToHost::Event(event)) => {
                     self.count(&event);
-                    self.tell(&News::Event(event), now_ms);
+                    self.take(&News::Event(event), now_ms);
                 }
                 Ok(ToHost::Response { .. }) | Err(_) => {}
             }
@@ -200,7 +200,7 @@ impl Patient {
         }
     }
 
-    fn tell(&mut self, news: &News, now_ms: u64) {
+    fn take(&mut self, news: &News, now_ms: u64) {
         self.watched.take(news, now_ms, &mut self.out);
     }
 }

@@ -30,14 +30,14 @@ impl Sine {
 /// The loop is thereby broken at the valve. The ratio of the command just before the sine to that just after it is the loop gain,
 /// with a minus sign; what a law makes of its own past commands is part of the law.
 #[derive(Clone, Copy, Debug)]
-pub struct Injection<'a, C> {
+pub struct SineInjection<'a, C> {
     law: &'a C,
     sine: Sine,
     /// Last tick that the law sees: the time since the start of the breath stops here.
     held_tick: u32,
 }
 
-/// State of an [`Injection`].
+/// State of an [`SineInjection`].
 #[derive(Clone, Debug)]
 pub struct InjectionState<S> {
     law: S,
@@ -57,14 +57,14 @@ impl<S> InjectionState<S> {
     }
 }
 
-impl<'a, C> Injection<'a, C> {
+impl<'a, C> SineInjection<'a, C> {
     /// Adds `sine` to the command of `law`, whose time stops at `held_tick`.
     pub fn new(law: &'a C, sine: Sine, held_tick: u32) -> Self {
         Self { law, sine, held_tick }
     }
 }
 
-impl<C: ControlLaw> ControlLaw for Injection<'_, C> {
+impl<C: ControlLaw> ControlLaw for SineInjection<'_, C> {
     type State = InjectionState<C::State>;
 
     fn initial_state(&self) -> Self::State {
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn the_sine_is_added_after_the_law_which_knows_only_its_own_command() {
-        let law = Injection::new(&Counter, Sine { amplitude: 4.0, ticks: 8, periods: 2 }, 3);
+        let law = SineInjection::new(&Counter, Sine { amplitude: 4.0, ticks: 8, periods: 2 }, 3);
         let mut state = law.initial_state();
         assert!((state.law + 1.0).abs() < 1e-6);
         law.start_breath(&mut state, 7.0);
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn a_law_beyond_the_valves_range_counts_as_at_its_limit() {
-        let law = Injection::new(&Counter, Sine { amplitude: 0.0, ticks: 1, periods: 1 }, 90);
+        let law = SineInjection::new(&Counter, Sine { amplitude: 0.0, ticks: 1, periods: 1 }, 90);
         let mut state = law.initial_state();
         law.step(&mut state, &seen(80));
         assert!((state.before - COMMAND_MAX).abs() < 1e-6);

@@ -8,10 +8,10 @@
 
 use std::f64::consts::TAU;
 
+use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 use shared::breath::period_s;
 
-use super::complex::Complex;
 use super::response::ResponsePoint;
 use super::{OSCILLATES_CMH2O, PlantMargins};
 
@@ -59,9 +59,9 @@ impl LearningFilter {
     /// The factors at the frequencies of a measured loop of the underlying law.
     pub fn contraction(&self, response: &[ResponsePoint], period_us: u32) -> Vec<Contraction> {
         let factor = |point: &ResponsePoint| {
-            let learning = Complex::turn(TAU * point.hz * self.lead_s).times(self.gain);
-            let rest = Complex::ONE - learning * point.path;
-            Contraction { hz: point.hz, factor: self.smoothing(point.hz, period_us).abs() * rest.abs() }
+            let learning = Complex64::cis(TAU * point.hz * self.lead_s) * self.gain;
+            let rest = Complex64::ONE - learning * point.path;
+            Contraction { hz: point.hz, factor: self.smoothing(point.hz, period_us).abs() * rest.norm() }
         };
         response.iter().map(factor).collect()
     }
@@ -170,8 +170,8 @@ mod tests {
     fn delay(gain: f64, delay_s: f64) -> Vec<ResponsePoint> {
         (1..=40)
             .map(|hz| {
-                let path = Complex::turn(-TAU * f64::from(hz) * delay_s).times(gain);
-                ResponsePoint { hz: f64::from(hz), loop_gain: Complex::ONE, path }
+                let path = Complex64::cis(-TAU * f64::from(hz) * delay_s) * gain;
+                ResponsePoint { hz: f64::from(hz), loop_gain: Complex64::ONE, path }
             })
             .collect()
     }

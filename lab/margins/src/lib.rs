@@ -9,7 +9,6 @@
 //! does not notice it. Every loop is therefore measured with two amplitudes.
 #![forbid(unsafe_code)]
 
-pub mod complex;
 pub mod injection;
 pub mod iteration;
 pub mod operating_point;
@@ -30,7 +29,7 @@ use plant::bench::{BenchConfig, BenchError};
 use progress::{Progress, Stage, Task};
 use residual_gain::ResidualGain;
 use response::{Loop, ResponsePoint, Sweep};
-use stability::{Margins, Required};
+use stability::{Margins, RequiredMargins};
 
 /// Measuring stability margins: operating points.
 pub const MARGINS: Stage = Stage("measure loops");
@@ -97,7 +96,7 @@ pub struct Overall {
 
 impl Overall {
     /// That of these plants.
-    pub fn of(plants: &[PlantMargins], required: &Required) -> Self {
+    pub fn of(plants: &[PlantMargins], required: &RequiredMargins) -> Self {
         let robust = plants.iter().filter(|plant| plant.worst.is_some_and(|worst| worst.keeps(required)));
         let worst: Option<Vec<Margins>> = plants.iter().map(|plant| plant.worst).collect();
         let gains = plants.iter().filter_map(|plant| plant.pid.as_ref().map(|pid| pid.residual));

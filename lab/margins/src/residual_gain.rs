@@ -9,6 +9,7 @@
 use std::array::from_fn;
 use std::f64::consts::TAU;
 
+use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 use shared::breath::{Breath, Phase, paper_settings, period_s};
 use shared::control::features::{
@@ -21,7 +22,6 @@ use shared::control::residual::Residual;
 use shared::control::{ControlLaw, Controller, ControllerState, Observation};
 
 use super::MeasuredPoint;
-use super::complex::Complex;
 use plant::bench::{Bench, BenchConfig, BenchError, steps_per_period};
 
 /// Breaths whose states are recorded, at each PIP.
@@ -72,13 +72,13 @@ impl ResidualGain {
                 states(residual, plant, pip, seed)?.iter().map(|state| jacobian(residual, state)).collect();
             for response in &measured.response {
                 let inputs = Inputs::at(residual, response.hz);
-                let largest = |gain: &dyn Fn(&[f64; FEATURES]) -> Complex| {
-                    jacobians.iter().map(|row| gain(row).abs()).fold(0.0, f64::max)
+                let largest = |gain: &dyn Fn(&[f64; FEATURES]) -> Complex64| {
+                    jacobians.iter().map(|row| gain(row).norm()).fold(0.0, f64::max)
                 };
                 let highest = largest(&|row| inputs.residual(row));
                 found.direct.raise(largest(&|row| combined(&inputs.error, row)), response.hz, pip);
                 found.residual.raise(highest, response.hz, pip);
-                found.times_loop.raise(highest * response.path.abs(), response.hz, pip);
+                found.times_loop.raise(highest * response.path.norm(), response.hz, pip);
             }
         }
         Ok(found)
@@ -156,49 +156,48 @@ fn jacobian(residual: &Residual, state: &[f32; INPUTS]) -> [f64; FEATURES] {
 /// Responses of the network's inputs at one frequency.
 struct Inputs {
     /// To the error, per cmH2O.
-    error: [Complex; FEATURES],
+    error: [Complex64; FEATURES],
     /// To the command, per percent.
-    command: [Complex; FEATURES],
+    command: [Complex64; FEATURES],
     /// The PID, percent per cmH2O.
-    pid: Complex,
+    pid: Complex64,
 }
 
 impl Inputs {
     fn at(residual: &Residual, hz: f64) -> Self {
         let period = f64::from(period_s(residual.spec().period_us));
-        let tick = |ticks: f64| Complex::turn(-TAU * hz * period * ticks);
+        let tick = |ticks: f64| Complex64::cis(-TAU * hz * period * ticks);
         let features = residual.features();
-        let (mut error, mut command) = ([Complex::default(); FEATURES], [Complex::default(); FEATURES]);
+        let (mut error, mut command) = ([Complex64::default(); FEATURES], [Complex64::default(); FEATURES]);
         let (per_error, per_command) = (1.0 / f64::from(ERROR_SCALE), 1.0 / f64::from(COMMAND_SCALE));
         for (place, tap) in PAST_ERRORS.zip(features.spec().error_taps) {
-            error[place] = tick(f64::from(tap)).times(per_error);
+            error[place] = tick(f64::from(tap)) * per_error;
         }
         for (place, tap) in PAST_COMMANDS.zip(features.spec().command_taps) {
-            command[place] = tick(f64::from(tap)).times(per_command);
+            command[place] = tick(f64::from(tap)) * per_command;
         }
         let (errors, commands) = averages(features);
         for (place, factor) in LEAKY.zip(errors) {
-            error[place] = leaky(factor, tick(1.0)).times(per_error);
+            error[place] = leaky(factor, tick(1.0)) * per_error;
         }
         // An average of the commands ends with the one before the present.
         for (place, factor) in LEAKY.skip(errors.len()).zip(commands) {
-            command[place] = (leaky(factor, tick(1.0)) * tick(1.0)).times(per_command);
+            command[place] = (leaky(factor, tick(1.0)) * tick(1.0)) * per_command;
         }
-        error[INTEGRAL] = integral(residual.pid(), tick(1.0)).times(per_command);
+        error[INTEGRAL] = integral(residual.pid(), tick(1.0)) * per_command;
         Self { error, command, pid: pid(residual.pid(), tick(1.0)) }
     }
 
     /// The residual with this Jacobian, as a response to the error: the law's own commands feed back into it.
-    fn residual(&self, jacobian: &[f64; FEATURES]) -> Complex {
+    fn residual(&self, jacobian: &[f64; FEATURES]) -> Complex64 {
         let (by_error, by_command) = (combined(&self.error, jacobian), combined(&self.command, jacobian));
-        (by_error + by_command * self.pid) / (Complex::ONE - by_command)
+        (by_error + by_command * self.pid) / (Complex64::ONE - by_command)
     }
 }
 
 /// Response of the residual with this Jacobian, through inputs with these responses.
-fn combined(responses: &[Complex; FEATURES], jacobian: &[f64; FEATURES]) -> Complex {
-    let parts = responses.iter().zip(jacobian).map(|(response, slope)| response.times(*slope));
-    parts.fold(Complex::default(), |sum, part| sum + part)
+fn combined(responses: &[Complex64; FEATURES], jacobian: &[f64; FEATURES]) -> Complex64 {
+    responses.iter().zip(jacobian).map(|(response, slope)| response * *slope).sum()
 }
 
 /// Smoothing factors of the averages of errors and of commands.
@@ -207,20 +206,20 @@ fn averages(features: &Features) -> ([f64; 2], [f64; 2]) {
 }
 
 /// Response of a leaky average with this smoothing factor; `late` is that of a delay of one tick.
-fn leaky(factor: f64, late: Complex) -> Complex {
-    Complex::from(factor) / (Complex::ONE - late.times(1.0 - factor))
+fn leaky(factor: f64, late: Complex64) -> Complex64 {
+    Complex64::from(factor) / (Complex64::ONE - late * (1.0 - factor))
 }
 
 /// Response of the PID's integral to the error, before it takes the present one.
-fn integral(pid: &Pid, late: Complex) -> Complex {
-    late.times(f64::from(pid.integral_step())) / (Complex::ONE - late)
+fn integral(pid: &Pid, late: Complex64) -> Complex64 {
+    late * f64::from(pid.integral_step()) / (Complex64::ONE - late)
 }
 
 /// Response of a PID to the error at a constant target; `late` is that of a delay of one tick.
-pub(super) fn pid(pid: &Pid, late: Complex) -> Complex {
-    let change = (Complex::ONE - late).times(f64::from(pid.derivative_scale()));
+pub(super) fn pid(pid: &Pid, late: Complex64) -> Complex64 {
+    let change = (Complex64::ONE - late) * f64::from(pid.derivative_scale());
     let derivative = change * leaky(f64::from(pid.derivative_factor()), late);
-    Complex::from(f64::from(pid.gains().p)) + integral(pid, late) + derivative
+    Complex64::from(f64::from(pid.gains().p)) + integral(pid, late) + derivative
 }
 
 #[cfg(test)]
@@ -261,12 +260,12 @@ mod tests {
     }
 
     /// Runs features and PID on a sine of the error; compares the response of one input with that of the formula.
-    fn simulated(place: usize, hz: f64) -> (Complex, Complex) {
+    fn simulated(place: usize, hz: f64) -> (Complex64, Complex64) {
         let residual = passing(place, 0.05);
         let (mut past, mut state) = (FeatureState::new(), PidState::new());
         past.start_breath(0.0);
         let angle = |tick: u32| TAU * hz * f64::from(tick) * 1e-3;
-        let (mut error, mut extra) = (Complex::default(), Complex::default());
+        let (mut error, mut extra) = (Complex64::default(), Complex64::default());
         for tick in 0..8000 {
             let wave = angle(tick).sin() as f32;
             let seen = Observation { pressure: 20.0 - wave, target: 20.0, pip: 20.0, peep: 5.0, tick };
@@ -277,9 +276,9 @@ mod tests {
             let output = residual.pid().step(&mut state, &seen, 50.0 + correction);
             residual.features().applied(&mut past, output.command - 50.0);
             if tick >= 4000 {
-                let turn = Complex::turn(-angle(tick));
-                error = error + turn.times(f64::from(wave));
-                extra = extra + turn.times(f64::from(correction));
+                let turn = Complex64::cis(-angle(tick));
+                error += turn * f64::from(wave);
+                extra += turn * f64::from(correction);
             }
         }
         let expected = Inputs::at(&residual, hz).residual(&jacobian(&residual, &[0.0; INPUTS]));
@@ -292,7 +291,7 @@ mod tests {
             for hz in [1.0, 5.0, 20.0] {
                 let (found, expected) = simulated(place, hz);
                 assert!(
-                    (found - expected).abs() < 0.03 * expected.abs(),
+                    (found - expected).norm() < 0.03 * expected.norm(),
                     "{place} {hz}: {found:?} {expected:?}"
                 );
             }

@@ -5,13 +5,13 @@
 
 use std::f64::consts::TAU;
 
+use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 use shared::breath::period_s;
 use shared::control::{COMMAND_MAX, ControlLaw, Observation};
 use shared::math;
 
-use super::complex::Complex;
-use super::injection::{Injection, InjectionState, Sine};
+use super::injection::{InjectionState, Sine, SineInjection};
 
 /// A plant that is held at an operating point.
 pub trait Process: Clone {
@@ -73,15 +73,15 @@ pub struct ResponsePoint {
     pub hz: f64,
     /// Loop gain L.
     #[serde(rename = "loop")]
-    pub loop_gain: Complex,
+    pub loop_gain: Complex64,
     /// From an addition to the command to the measured pressure in closed loop, P S, cmH2O per percent.
-    pub path: Complex,
+    pub path: Complex64,
 }
 
 impl ResponsePoint {
     /// Sensitivity S = 1 / (1 + L).
-    pub fn sensitivity(&self) -> Complex {
-        Complex::ONE / (Complex::ONE + self.loop_gain)
+    pub fn sensitivity(&self) -> Complex64 {
+        Complex64::ONE / (Complex64::ONE + self.loop_gain)
     }
 }
 
@@ -109,9 +109,9 @@ pub struct Loop<'a, C> {
 /// Fourier sums over the ticks of a window.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
-    before: Complex,
-    after: Complex,
-    pressure: Complex,
+    before: Complex64,
+    after: Complex64,
+    pressure: Complex64,
     /// Ticks in which the command with the sine was limited.
     limited: u32,
 }
@@ -124,7 +124,7 @@ where
     /// quarter of it, cmH2O.
     pub fn settle<P: Process>(&self, process: P, time_s: f64) -> (Rest<P, C::State>, f64) {
         let none = Sine { amplitude: 0.0, ticks: 1, periods: 1 };
-        let law = Injection::new(self.law, none, self.held_tick);
+        let law = SineInjection::new(self.law, none, self.held_tick);
         let mut state = law.initial_state();
         law.start_breath(&mut state, 0.0);
         let mut rest = Rest { process, state, seen: self.seen };
@@ -165,7 +165,7 @@ where
 
     /// Runs one sine and correlates its window.
     fn run<P: Process>(&self, rest: &Rest<P, C::State>, sine: Sine, sweep: &Sweep) -> Sums {
-        let law = Injection::new(self.law, sine, self.held_tick);
+        let law = SineInjection::new(self.law, sine, self.held_tick);
         let mut run = rest.clone();
         run.state = run.state.restarted();
         let transient = ((sweep.transient_s / self.period_s()) as u32).max(sine.ticks / sine.periods);
@@ -175,8 +175,8 @@ where
             if tick < transient {
                 continue;
             }
-            let turn = Complex::turn(-sine.angle(tick));
-            let add = |sum: &mut Complex, value: f32| *sum = *sum + turn.times(f64::from(value));
+            let turn = Complex64::cis(-sine.angle(tick));
+            let add = |sum: &mut Complex64, value: f32| *sum += turn * f64::from(value);
             add(&mut sums.before, run.state.before);
             add(&mut sums.after, run.state.after);
             // The reading at the end of this tick is that of the next one.
@@ -184,8 +184,8 @@ where
             sums.limited += u32::from(asked.to_bits() != run.state.after.to_bits());
         }
         // The pressure was sampled a tick later than the commands.
-        let later = Complex::turn(-TAU * f64::from(sine.periods) / f64::from(sine.ticks));
-        sums.pressure = sums.pressure * later;
+        let later = Complex64::cis(-TAU * f64::from(sine.periods) / f64::from(sine.ticks));
+        sums.pressure *= later;
         sums
     }
 
@@ -195,7 +195,7 @@ where
 }
 
 /// One tick; returns the command with the sine before the valve's limits.
-fn advance<C: ControlLaw, P: Process>(law: &Injection<'_, C>, run: &mut Rest<P, C::State>) -> f32 {
+fn advance<C: ControlLaw, P: Process>(law: &SineInjection<'_, C>, run: &mut Rest<P, C::State>) -> f32 {
     let asked = law.step(&mut run.state, &run.seen).command;
     let command = math::limit(asked, 0.0, COMMAND_MAX);
     law.applied(&mut run.state, command);
@@ -223,5 +223,12 @@ mod tests {
         }
         assert_eq!((sines[0].periods, sines[31].periods), (3, 80));
         assert!((sweep.with_amplitude(3.0).sine(0, 1e-3).amplitude - 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_complex_number_is_a_pair_in_json() {
+        let text = serde_json::to_string(&Complex64::new(1.5, -2.0)).unwrap();
+        assert_eq!(text, "[1.5,-2.0]");
+        assert_eq!(serde_json::from_str::<Complex64>(&text).unwrap(), Complex64::new(1.5, -2.0));
     }
 }

@@ -5,9 +5,9 @@
 
 use std::f64::consts::{PI, TAU};
 
+use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
-use super::complex::{Complex, unwrapped};
 use super::response::ResponsePoint;
 
 /// Margins of a stable closed loop. A margin that has no crossing within the measured frequencies is absent.
@@ -33,9 +33,9 @@ pub struct Margins {
 impl Margins {
     /// The margins of a loop; none without a response of at least two frequencies.
     pub fn of(response: &[ResponsePoint]) -> Option<Self> {
-        let (ms, ms_hz) = peak(response, Complex::abs)?;
+        let (ms, ms_hz) = peak(response, Complex64::norm)?;
         // Of S - T = 2 S - 1.
-        let (balance, _) = peak(response, |s| (s.times(2.0) - Complex::ONE).abs())?;
+        let (balance, _) = peak(response, |s| (s * 2.0 - Complex64::ONE).norm())?;
         let curve = Curve::new(response);
         let unity: Vec<Crossing> = curve.crossings(|point| point.log_size, 0.0);
         let angles: Vec<f64> = unity.iter().map(|at| at.angle + PI).collect();
@@ -69,7 +69,7 @@ impl Margins {
     }
 
     /// Whether the margins keep a requirement; an absent margin is beyond the measured frequencies and keeps it.
-    pub fn keeps(&self, required: &Required) -> bool {
+    pub fn keeps(&self, required: &RequiredMargins) -> bool {
         let at_least = |margin: Option<f64>, bound| margin.is_none_or(|margin| margin >= bound);
         self.ms <= required.ms
             && at_least(self.gain_margin, required.gain_margin)
@@ -79,7 +79,7 @@ impl Margins {
 
 /// Margins that a robust loop keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Required {
+pub struct RequiredMargins {
     /// Highest Ms.
     pub ms: f64,
     /// Lowest gain margin.
@@ -88,7 +88,7 @@ pub struct Required {
     pub delay_margin_ms: f64,
 }
 
-impl Default for Required {
+impl Default for RequiredMargins {
     fn default() -> Self {
         Self { ms: 2.0, gain_margin: 2.0, delay_margin_ms: 10.0 }
     }
@@ -100,7 +100,7 @@ fn least(values: impl Iterator<Item = f64>) -> Option<f64> {
 
 /// The highest value of a function of the sensitivity, and its frequency in Hz, from a parabola through the highest measured value
 /// and its neighbours.
-fn peak(response: &[ResponsePoint], value: impl Fn(Complex) -> f64) -> Option<(f64, f64)> {
+fn peak(response: &[ResponsePoint], value: impl Fn(Complex64) -> f64) -> Option<(f64, f64)> {
     let values: Vec<(f64, f64)> =
         response.iter().map(|point| (point.hz.ln(), value(point.sensitivity()).ln())).collect();
     let highest = (0..values.len()).max_by(|one, other| values[*one].1.total_cmp(&values[*other].1))?;
@@ -115,6 +115,11 @@ fn peak(response: &[ResponsePoint], value: impl Fn(Complex) -> f64) -> Option<(f
     let slope = before + bend * (x - left);
     let top = x - slope / (2.0 * bend);
     Some(((y - slope * slope / (4.0 * bend)).exp(), top.exp()))
+}
+
+/// The angle in radians that differs from this one by whole turns and lies within half a turn of `near`.
+fn unwrapped(angle: f64, near: f64) -> f64 {
+    angle + TAU * ((near - angle) / TAU).round()
 }
 
 /// A measured loop gain, with unwrapped angles.
@@ -139,8 +144,8 @@ impl Curve {
         // The first angle lies between 0 and -360 degrees: a loop gain with an integral starts near -90.
         let mut near = -PI;
         let point = |point: &ResponsePoint| {
-            near = unwrapped(point.loop_gain.angle(), near);
-            CurvePoint { log_hz: point.hz.ln(), log_size: point.loop_gain.abs().ln(), angle: near }
+            near = unwrapped(point.loop_gain.arg(), near);
+            CurvePoint { log_hz: point.hz.ln(), log_size: point.loop_gain.norm().ln(), angle: near }
         };
         Self(response.iter().map(point).collect())
     }
@@ -181,10 +186,10 @@ mod tests {
     use super::*;
 
     /// The response of a loop gain given as a function of the frequency in Hz.
-    fn response(loop_gain: impl Fn(f64) -> Complex) -> Vec<ResponsePoint> {
+    fn response(loop_gain: impl Fn(f64) -> Complex64) -> Vec<ResponsePoint> {
         (0..32)
             .map(|place| 0.5 * 80.0_f64.powf(f64::from(place) / 31.0))
-            .map(|hz| ResponsePoint { hz, loop_gain: loop_gain(hz), path: Complex::ONE })
+            .map(|hz| ResponsePoint { hz, loop_gain: loop_gain(hz), path: Complex64::ONE })
             .collect()
     }
 
@@ -192,7 +197,7 @@ mod tests {
     fn integrator(gain: f64, dead_time: f64) -> Vec<ResponsePoint> {
         response(|hz| {
             let omega = TAU * hz;
-            Complex::turn(-omega * dead_time - PI / 2.0).times(gain / omega)
+            Complex64::cis(-omega * dead_time - PI / 2.0) * (gain / omega)
         })
     }
 
@@ -210,9 +215,9 @@ mod tests {
         near(margins.crossover_hz.unwrap(), gain / TAU);
         let fine = (1..400_000).map(|n| f64::from(n) * 1e-4).map(|hz| {
             let omega = TAU * hz;
-            let l = Complex::turn(-omega * dead_time - PI / 2.0).times(gain / omega);
-            let s = Complex::ONE / (Complex::ONE + l);
-            (s.abs(), (s - Complex::from(0.5)).abs())
+            let l = Complex64::cis(-omega * dead_time - PI / 2.0) * (gain / omega);
+            let s = Complex64::ONE / (Complex64::ONE + l);
+            (s.norm(), (s - Complex64::from(0.5)).norm())
         });
         let (ms, disk) = fine.fold((0.0_f64, 0.0_f64), |(ms, disk), (s, d)| (ms.max(s), disk.max(d)));
         near(margins.ms, ms);
@@ -224,7 +229,7 @@ mod tests {
         // A resonance lifts the loop gain above one again, at a higher frequency and a later phase.
         let margins = Margins::of(&response(|hz| {
             let size = if hz < 3.0 { 1.5 / hz } else { 2.0 * (-(hz / 10.0).ln().powi(2) * 4.0).exp() };
-            Complex::turn(-0.3 * PI - 0.07 * hz).times(size)
+            Complex64::cis(-0.3 * PI - 0.07 * hz) * size
         }))
         .unwrap();
         let high = margins.crossover_hz.unwrap();
@@ -236,12 +241,12 @@ mod tests {
 
     #[test]
     fn a_loop_gain_that_stays_small_has_no_crossings() {
-        let margins = Margins::of(&response(|_| Complex::from(0.1))).unwrap();
+        let margins = Margins::of(&response(|_| Complex64::from(0.1))).unwrap();
         assert_eq!(
             (margins.gain_margin, margins.phase_margin_deg, margins.delay_margin_ms),
             (None, None, None)
         );
-        assert!((margins.ms - 1.0 / 1.1).abs() < 1e-9 && margins.keeps(&Required::default()));
+        assert!((margins.ms - 1.0 / 1.1).abs() < 1e-9 && margins.keeps(&RequiredMargins::default()));
         assert_eq!(Margins::of(&[]), None);
     }
 
@@ -263,7 +268,7 @@ mod tests {
             } else {
                 2.0 / hz
             };
-            Complex::turn(PI * angle).times(size)
+            Complex64::cis(PI * angle) * size
         }));
         assert!(margins.unwrap().gain_margin.unwrap() > 2.0);
     }
@@ -280,7 +285,7 @@ mod tests {
 
     #[test]
     fn a_requirement_is_kept_at_its_bounds() {
-        let required = Required::default();
+        let required = RequiredMargins::default();
         let kept =
             Margins { ms: 2.0, gain_margin: Some(2.0), delay_margin_ms: Some(10.0), ..Margins::default() };
         assert!(kept.keeps(&required));
@@ -289,5 +294,13 @@ mod tests {
         assert!(!Margins { gain_margin: Some(1.99), ..kept }.keeps(&required));
         assert!(!Margins { delay_margin_ms: Some(9.99), ..kept }.keeps(&required));
         assert!(Margins { gain_margin: None, delay_margin_ms: None, ..kept }.keeps(&required));
+    }
+
+    #[test]
+    fn an_angle_is_unwrapped_to_its_neighbour() {
+        for (angle, near, expected) in [(3.0, -3.0, 3.0 - TAU), (0.5, 0.4, 0.5), (-3.0, 9.0, 2.0 * TAU - 3.0)]
+        {
+            assert!((unwrapped(angle, near) - expected).abs() < 1e-12, "{angle} {near}");
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use num_complex::Complex64;
 use rayon::ThreadPoolBuilder;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Observation;
@@ -10,7 +11,6 @@ use shared::control::network::Network;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::{Residual, ResidualSpec};
 
-use super::complex::Complex;
 use super::response::Process;
 use super::*;
 
@@ -35,10 +35,10 @@ impl LagPlant {
     }
 
     /// Its response to the command at a frequency.
-    fn at(&self, hz: f64) -> Complex {
-        let tick = |ticks: f64| Complex::turn(-TAU * hz * PERIOD_S * ticks);
+    fn at(&self, hz: f64) -> Complex64 {
+        let tick = |ticks: f64| Complex64::cis(-TAU * hz * PERIOD_S * ticks);
         let late = tick(1.0 + self.under_way.len() as f64);
-        late.times(self.gain * (1.0 - self.keep)) / (Complex::ONE - tick(1.0).times(self.keep))
+        late * (self.gain * (1.0 - self.keep)) / (Complex64::ONE - tick(1.0) * self.keep)
     }
 }
 
@@ -56,28 +56,28 @@ fn pid(p: f32, i: f32, d: f32) -> Pid {
 }
 
 /// Loop gain of a PID on the lag, by formula.
-fn loop_gain(plant: &LagPlant, pid: &Pid, hz: f64) -> Complex {
-    residual_gain::pid(pid, Complex::turn(-TAU * hz * PERIOD_S)) * plant.at(hz)
+fn loop_gain(plant: &LagPlant, pid: &Pid, hz: f64) -> Complex64 {
+    residual_gain::pid(pid, Complex64::cis(-TAU * hz * PERIOD_S)) * plant.at(hz)
 }
 
 /// Margins by formula: bisection and a fine grid of frequencies.
 fn by_formula(plant: &LagPlant, pid: &Pid) -> Margins {
     let grid: Vec<f64> = (0..200_000).map(|n| 0.5 * 80.0_f64.powf(f64::from(n) / 200_000.0)).collect();
-    let sensitivity = |hz: f64| Complex::ONE / (Complex::ONE + loop_gain(plant, pid, hz));
+    let sensitivity = |hz: f64| Complex64::ONE / (Complex64::ONE + loop_gain(plant, pid, hz));
     let at = |hz: f64| loop_gain(plant, pid, hz);
-    let crossover = grid.iter().copied().rfind(|hz| at(*hz).abs() >= 1.0).unwrap();
+    let crossover = grid.iter().copied().rfind(|hz| at(*hz).norm() >= 1.0).unwrap();
     let opposite = grid.windows(2).find(|pair| at(pair[0]).im < 0.0 && at(pair[1]).im >= 0.0).unwrap()[0];
-    let margin = PI + at(crossover).angle();
+    let margin = PI + at(crossover).arg();
     let (ms_hz, ms) = grid
         .iter()
-        .map(|hz| (*hz, sensitivity(*hz).abs()))
+        .map(|hz| (*hz, sensitivity(*hz).norm()))
         .max_by(|one, other| one.1.total_cmp(&other.1))
         .unwrap();
-    let disk = grid.iter().map(|hz| (sensitivity(*hz) - Complex::from(0.5)).abs()).fold(0.0, f64::max);
+    let disk = grid.iter().map(|hz| (sensitivity(*hz) - Complex64::from(0.5)).norm()).fold(0.0, f64::max);
     Margins {
         ms,
         ms_hz,
-        gain_margin: Some(1.0 / at(opposite).abs()),
+        gain_margin: Some(1.0 / at(opposite).norm()),
         phase_margin_deg: Some(margin.to_degrees()),
         delay_margin_ms: Some(1e3 * margin / (TAU * crossover)),
         disk_margin: 1.0 / disk,
@@ -121,9 +121,9 @@ fn margins_of_an_exactly_known_loop_are_within_2_percent() {
         assert!(limited < 1e-12);
         for point in &response {
             let exact = loop_gain(&plant, &pid, point.hz);
-            assert!((point.loop_gain - exact).abs() < 2e-3 * exact.abs(), "{point:?}, not {exact:?}");
+            assert!((point.loop_gain - exact).norm() < 2e-3 * exact.norm(), "{point:?}, not {exact:?}");
             let path = plant.at(point.hz) * point.sensitivity();
-            assert!((point.path - path).abs() < 5e-3 * path.abs(), "{point:?}, not {path:?}");
+            assert!((point.path - path).norm() < 5e-3 * path.norm(), "{point:?}, not {path:?}");
         }
     }
 }
@@ -274,8 +274,12 @@ fn the_residual_of_a_learned_controller_is_measured_beside_its_pid() {
         let gain = pid.residual;
         assert!((gain.residual.value - 1.0).abs() < 0.02, "{gain:?}");
         assert!((gain.direct.value - 1.0).abs() < 0.02, "{gain:?}");
-        let path =
-            alone.points.iter().flat_map(|point| &point.response).map(|at| at.path.abs()).fold(0.0, f64::max);
+        let path = alone
+            .points
+            .iter()
+            .flat_map(|point| &point.response)
+            .map(|at| at.path.norm())
+            .fold(0.0, f64::max);
         assert!((gain.times_loop.value / (gain.residual.value * path) - 1.0).abs() < 0.02, "{gain:?}");
     }
 }

@@ -3,8 +3,8 @@
 //! Run with `cargo run --release --example balloon -p paper`. It records breaths with a cautious PI, learns a simulator
 //! and through it a controller, and scores the controller on the balloon itself.
 
-use paper::authors::{self, baseline};
 use learn::pipeline;
+use paper::authors::{self, baseline};
 use plant::balloon::PERIOD_US;
 use progress::Progress;
 use shared::control::Controller;

@@ -8,6 +8,7 @@ use super::shards::Shards;
 use super::*;
 use crate::PaperError;
 use campaign::Share;
+use campaign::record::Options;
 use campaign::shards::RunFolder;
 use laws::rl::compare::RlConfig;
 use learn::pipeline::PipelineConfig;
@@ -129,7 +130,9 @@ fn two_tasks_that_share_a_folder_run_each_piece_once_and_find_what_one_task_find
         for index in 0..2 {
             let (work, folder) = (&work, &folder);
             let share = Share::new(index, 2).unwrap();
-            scope.spawn(move || assert!(folder.run(work, pieces, share, &Progress::silent()).unwrap()));
+            scope.spawn(move || {
+                assert!(folder.run(work, pieces, share, &Options::default(), &Progress::silent()).unwrap())
+            });
         }
     });
     assert_eq!(folder.merged(&work, pieces).unwrap().units(), pieces);

@@ -91,7 +91,7 @@ pub enum Refusal {
     SelfTestRuns,
     /// Another host steers the device; this one only reads.
     #[error(
-        "{holder} steers this device: end that program, wait {LEASE_S} s after its last request, or take over with the key t of `trainer monitor`"
+        "{holder} steers this device: end that program, wait {LEASE_S} s after its last request, or take over on the page of `trainer serve --steer`"
     )]
     Lease {
         /// The host that steers.
@@ -102,7 +102,7 @@ pub enum Refusal {
     NoLease,
     /// No host has sent settings in this standby.
     #[error(
-        "no settings were sent since the device went to standby: check and send the settings, then start (`trainer monitor`: key c sends those shown)"
+        "no settings were sent since the device went to standby: check and send the settings, then start"
     )]
     NotConfirmed,
     /// The device runs only signed images.

@@ -84,7 +84,7 @@ pub enum Priority {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Action {
     /// The alarm is reported; its entry text names any further action.
-    Tell,
+    Report,
     /// The PID alone controls.
     Pid,
     /// The PID compiled into the program controls, with a capped command.
@@ -99,7 +99,7 @@ impl Action {
     /// Its name in tables.
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Tell => "report",
+            Self::Report => "report",
             Self::Pid => "PID",
             Self::CappedPid => "capped PID",
             Self::Backup => "backup",
@@ -145,7 +145,7 @@ const fn row(
     Alarm { fault, id, priority, action, entry, exit, text }
 }
 
-use Action::{Backup, CappedPid, Tell, Vent};
+use Action::{Backup, CappedPid, Report, Vent};
 use Priority::{High, Low, Medium};
 
 /// All alarms, in the order of [`Fault`].
@@ -173,7 +173,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::HighPressure,
         "high-pressure",
-        (High, Tell),
+        (High, Report),
         [
             "3 breaths in a row end at the pressure limit, or one does so under the capped PID because of its gas",
             GONE,
@@ -237,7 +237,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::BaselineHigh,
         "baseline-high",
-        (High, Tell),
+        (High, Report),
         [
             "more than 3 cmH2O above PEEP at the end of 2 expirations in a row, or of 4 if efforts end them early; then an \
              expiration in which the pressure still falls lasts up to half a breath longer, and PIP rises with a constant \
@@ -249,7 +249,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::BaselineLow,
         "baseline-low",
-        (Medium, Tell),
+        (Medium, Report),
         [
             "more than 2 cmH2O below PEEP at the end of 3 breaths in a row, none of them cut at the limit, or 5 in a row \
              with a command of more than 20 % above the bias to hold PEEP, without an effort",
@@ -260,7 +260,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::LowPressure,
         "low-pressure",
-        (High, Tell),
+        (High, Report),
         [
             "less than 30 % of the rise from PEEP to PIP, with a command above 60 %, at the end of 2 inspirations in a row",
             GONE,
@@ -270,7 +270,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::Disconnection,
         "disconnection",
-        (High, Tell),
+        (High, Report),
         [
             "600 ms of inspirations (1.2 s with a capped command) at less than 40 % of PEEP and more than 2 cmH2O below it, \
              with a command above 30 %; until the patient is back, the PID probes with a capped command",
@@ -332,7 +332,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::HostSilent,
         "host-silent",
-        (Low, Tell),
+        (Low, Report),
         [
             "10 s without a request while ventilating; ventilation continues, exploration ends",
             "the next request from a host",
@@ -342,7 +342,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::WeightsRefused,
         "weights-refused",
-        (Low, Tell),
+        (Low, Report),
         [
             "at start-up a slot holds torn or damaged weights; the other slot's weights or the PID run",
             "valid weights are stored in that slot",
@@ -373,7 +373,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::OutletSensorLost,
         "outlet-sensor-lost",
-        (Low, Tell),
+        (Low, Report),
         [
             "the outlet's pressure sensor fails one of the checks named `reading-`",
             SOUND_AGAIN,
@@ -394,7 +394,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::Leak,
         "leak",
-        (Medium, Tell),
+        (Medium, Report),
         [
             "less than 60 % of the inspired volume comes out in 5 breaths in a row, or less than 75 % if holding PEEP takes a \
              command of more than 5 % above the bias",
@@ -405,7 +405,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::TidalVolumeLow,
         "tidal-volume-low",
-        (Medium, Tell),
+        (Medium, Report),
         [
             "an expired volume, and its mean with the inspired one, below `tidal_volume_low` in 3 breaths in a row",
             GONE,
@@ -415,7 +415,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::TidalVolumeHigh,
         "tidal-volume-high",
-        (Medium, Tell),
+        (Medium, Report),
         [
             "an expired volume, and its mean with the inspired one, above `tidal_volume_high` in 3 breaths in a row",
             GONE,
@@ -425,7 +425,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::MinuteVolumeLow,
         "minute-volume-low",
-        (High, Tell),
+        (High, Report),
         [
             "an expired minute volume below `minute_volume_low`, averaged over 30 s, or over 10 s after the leak has changed",
             GONE,
@@ -435,7 +435,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::MinuteVolumeHigh,
         "minute-volume-high",
-        (Medium, Tell),
+        (Medium, Report),
         [
             "an expired minute volume above `minute_volume_high`, averaged over 30 s, or over 10 s after the leak has changed",
             GONE,
@@ -445,7 +445,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::Apnoea,
         "apnoea",
-        (High, Tell),
+        (High, Report),
         [
             "no breath of 3 mL in and out for 20 s, or for two breaths if these take longer; time in which gas goes one way \
              only counts half",
@@ -456,7 +456,7 @@ pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::FlowSensorLost,
         "flow-sensor-lost",
-        (Low, Tell),
+        (Low, Report),
         [
             "no number in more than a tenth of a breath's flow readings; volumes and leaks are not monitored until it is back",
             "a breath with flow readings",
@@ -491,7 +491,7 @@ mod tests {
 
     #[test]
     fn the_responses_have_the_names_of_the_safety_document() {
-        let names = [Tell, Action::Pid, CappedPid, Backup, Vent].map(Action::name);
+        let names = [Report, Action::Pid, CappedPid, Backup, Vent].map(Action::name);
         assert_eq!(names, ["report", "PID", "capped PID", "backup", "vent, latched"]);
     }
 

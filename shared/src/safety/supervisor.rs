@@ -429,7 +429,7 @@ impl Supervisor {
             }
             Action::Vent => state.fault = Some(fault),
             // The other findings about sensors have taken them out of use already.
-            Action::Tell | Action::CappedPid | Action::Backup => {}
+            Action::Report | Action::CappedPid | Action::Backup => {}
         }
     }
 

@@ -59,7 +59,7 @@ pub async fn serve(shared: Arc<Shared>, mut socket: WebSocket, place: Place) {
     let mut page = Page::new(Arc::clone(&shared), Arc::clone(&viewer));
     let end = page.run(&mut socket).await;
     shared.viewers.remove(viewer.number);
-    shared.hubs.iter().for_each(|hub| hub.tell(Command::Gone { viewer: viewer.number }));
+    shared.hubs.iter().for_each(|hub| hub.send(Command::Gone { viewer: viewer.number }));
     match end {
         End::Gone => {}
         End::Outdated => {
@@ -89,9 +89,9 @@ async fn wait_for_token(shared: &Shared, socket: &mut WebSocket) -> Result<(), R
 fn greet(shared: &Shared, viewer: &Arc<Viewer>) {
     for (device, hub) in (0..).zip(&shared.hubs) {
         if let Some((_, who)) = hub.latest().steerer {
-            viewer.tell(ToPage::Steerer { device, who: Some(who), yours: false }.to_json().into());
+            viewer.send(ToPage::Steerer { device, who: Some(who), yours: false }.to_json().into());
         }
-        hub.tell(Command::Opened { viewer: Arc::clone(viewer) });
+        hub.send(Command::Opened { viewer: Arc::clone(viewer) });
     }
 }
 
@@ -209,7 +209,7 @@ impl Page {
             self.answer(Answer::refused(message.id(), SteerError::ReadOnly.to_string()));
             return Ok(());
         }
-        hub.tell(Command::Message { viewer: Arc::clone(&self.viewer), message });
+        hub.send(Command::Message { viewer: Arc::clone(&self.viewer), message });
         Ok(())
     }
 
@@ -233,7 +233,7 @@ impl Page {
     }
 
     fn answer(&self, answer: Answer) {
-        self.viewer.tell(ToPage::Answer(answer).to_json().into());
+        self.viewer.send(ToPage::Answer(answer).to_json().into());
     }
 }
 

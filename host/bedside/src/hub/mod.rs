@@ -18,7 +18,7 @@ use show::monitor::News;
 
 use crate::flight_recorder::content;
 use crate::metrics::Metrics;
-use crate::record::{Recorder, Told};
+use crate::record::{Notice, Recorder};
 use crate::source::{Source, Watch};
 use crate::steer::{self, Wheel};
 use crate::stream::{
@@ -42,7 +42,7 @@ const STATE_EVERY: (Duration, Duration) =
 /// Why a device is not watched any more.
 const FAILED: &str = "the server's part for this device has failed: start the server again";
 
-/// Most events that a new page is told.
+/// Most events that a new page gets.
 const EVENTS_MAX: usize = 50;
 
 /// A message to a hub.
@@ -66,7 +66,7 @@ pub enum Command {
     },
 }
 
-/// What a new page is told about a device.
+/// What a new page gets about a device.
 #[derive(Clone, Debug, Default)]
 pub struct Latest {
     /// The page that steers: number and name.
@@ -113,12 +113,12 @@ impl Hub {
     }
 
     /// Sends a message to the hub.
-    pub fn tell(&self, command: Command) {
+    pub fn send(&self, command: Command) {
         // A thread that has failed takes nothing any more.
         if let Err(SendError(Command::Message { viewer, message })) = self.commands.send(command)
             && let Some(id) = message.id()
         {
-            tell(&viewer, &ToPage::Answer(Answer::refused(Some(id), FAILED)));
+            send(&viewer, &ToPage::Answer(Answer::refused(Some(id), FAILED)));
         }
     }
 
@@ -127,7 +127,7 @@ impl Hub {
         self.stop.store(true, Ordering::Relaxed);
     }
 
-    /// What a new page is told.
+    /// What a new page gets.
     pub fn latest(&self) -> Latest {
         self.latest.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -161,7 +161,7 @@ struct Waiting {
 
 struct Worker {
     device: u8,
-    /// As the pages were told.
+    /// As the pages know it.
     kind: Kind,
     period_us: u32,
     watched: Watched,
@@ -255,7 +255,7 @@ impl Worker {
                 Command::Gone { viewer } => self.release(viewer),
             }
         }
-        self.tell_recorded();
+        self.pass_notices();
         if self.framed.elapsed() >= FRAME_EVERY {
             self.framed = Instant::now();
             self.watched.flush(&mut self.out);
@@ -289,13 +289,13 @@ impl Worker {
         if let Some(place) = self.waiting.iter().position(|waiting| waiting.request == *request)
             && let Some(Waiting { viewer, id, .. }) = self.waiting.remove(place)
         {
-            tell(&viewer, &ToPage::Answer(steer::answer(id, result)));
+            send(&viewer, &ToPage::Answer(steer::answer(id, result)));
         }
     }
 
-    /// Looks whether another kind of device is there than the pages were told; then they start again.
+    /// Looks whether another kind of device is there than the pages know; then they start again.
     fn meet(&mut self) {
-        let kind = match self.watched.known().identity {
+        let kind = match &self.watched.reported().identity {
             Some(identity) if self.kind != Kind::Recording => Kind::of(identity.device),
             _ => self.kind,
         };
@@ -311,7 +311,7 @@ impl Worker {
 
     /// Passes news, and the messages that they have become, to the recorder.
     fn record(&mut self, news: &News, before: usize, now: u64) {
-        self.recorder.take(news, self.watched.known().in_force, now);
+        self.recorder.take(news, self.watched.reported().in_force.as_ref(), now);
         for out in &self.out[before..] {
             match out {
                 Out::Message(ToPage::Event { kind: EventKind::Alarm, text, .. }) => {
@@ -326,16 +326,16 @@ impl Worker {
         }
     }
 
-    /// Tells the pages what the recorder has to tell.
-    fn tell_recorded(&mut self) {
-        for told in self.recorder.told() {
-            match told {
-                Told::Event(text) => self.event(EventKind::Capture, text),
-                Told::Started(result) => answer_all(&mut self.starting, &result),
-                Told::Stopped(Err(why)) if self.stopping.is_empty() => {
+    /// Passes the recorder's notices to the pages.
+    fn pass_notices(&mut self) {
+        for notice in self.recorder.notices() {
+            match notice {
+                Notice::Event(text) => self.event(EventKind::Capture, text),
+                Notice::Started(result) => answer_all(&mut self.starting, &result),
+                Notice::Stopped(Err(why)) if self.stopping.is_empty() => {
                     self.event(EventKind::Capture, format!("the recording could not be finished: {why}"));
                 }
-                Told::Stopped(result) => answer_all(&mut self.stopping, &result),
+                Notice::Stopped(result) => answer_all(&mut self.stopping, &result),
             }
         }
     }
@@ -346,14 +346,14 @@ impl Worker {
         self.out.push(Out::Message(event));
     }
 
-    /// Tells a new page what was before it.
+    /// Sends a new page what was before it.
     fn welcome(&mut self, viewer: &Viewer) {
         // The breaths that are in the trends must not come after them.
         self.send();
         if let Some(history) = self.trends.history() {
-            tell(viewer, &ToPage::History { device: self.device, history });
+            send(viewer, &ToPage::History { device: self.device, history });
         }
-        self.enclosed.iter().chain(&self.events).for_each(|message| viewer.tell(Arc::clone(message)));
+        self.enclosed.iter().chain(&self.events).for_each(|message| viewer.send(Arc::clone(message)));
     }
 
     /// Sends what has been made.
@@ -363,7 +363,7 @@ impl Worker {
                 Out::Frame(frame) => self.viewers.samples(&Arc::new(frame)),
                 Out::Message(message) => {
                     let text: Arc<str> = message.to_json().into();
-                    self.viewers.tell(&text);
+                    self.viewers.send(&text);
                     if matches!(message, ToPage::Event { .. }) {
                         self.events.push_back(text);
                     }
@@ -402,9 +402,16 @@ impl Worker {
         match message {
             FromPage::Take { take_over, .. } => match self.wheel.take(viewer.number, &viewer.who, *take_over)
             {
-                Ok(()) => self.tell_steerer(),
-                // It is told who steers.
-                Err(_) => tell(viewer, &self.steerer(viewer)),
+                Ok(()) => {
+                    if *take_over {
+                        // The page's user has confirmed it, also if another program steers past all pages.
+                        let name = device::host_name();
+                        let _ = self.source.ask(Request::AcquireLease { name, take_over: true });
+                    }
+                    self.show_steerer();
+                }
+                // The page learns who steers.
+                Err(_) => send(viewer, &self.steerer(viewer)),
             },
             FromPage::Release { .. } => self.release(viewer.number),
             FromPage::Drawn { tick, .. } => {
@@ -416,7 +423,7 @@ impl Worker {
                 if let Some(id) = message.id()
                     && let Some(answer) = self.carry_out(viewer, id, message)
                 {
-                    tell(viewer, &ToPage::Answer(answer));
+                    send(viewer, &ToPage::Answer(answer));
                 }
             }
         }
@@ -493,15 +500,15 @@ impl Worker {
                 let ticks = blackbox.fast.ticks().count() + blackbox.slow.ticks().count();
                 let read = format!("{ticks} ticks and {} events read", blackbox.log.len());
                 let recorder = Box::new(content(&blackbox));
-                tell(&viewer, &ToPage::Recorder { device: self.device, recorder });
-                tell(&viewer, &ToPage::Answer(Answer::done(id, read)));
+                send(&viewer, &ToPage::Recorder { device: self.device, recorder });
+                send(&viewer, &ToPage::Answer(Answer::done(id, read)));
                 return;
             }
         };
         if let Some(reason) = failed
             && let Some(RecorderReader { viewer, id, .. }) = self.reading.take()
         {
-            tell(&viewer, &ToPage::Answer(Answer::refused(Some(id), reason)));
+            send(&viewer, &ToPage::Answer(Answer::refused(Some(id), reason)));
         }
     }
 
@@ -509,7 +516,9 @@ impl Worker {
     fn switch_recording(&mut self, viewer: &Arc<Viewer>, id: u32, on: bool) -> Option<Answer> {
         let running = self.recorder.info();
         if on {
-            if let Err(why) = self.recorder.start(now_ms(), self.watched.known().identity, &viewer.who) {
+            if let Err(why) =
+                self.recorder.start(now_ms(), self.watched.reported().identity.as_ref(), &viewer.who)
+            {
                 return Some(Answer::refused(Some(id), why));
             }
             if running.is_none() {
@@ -551,12 +560,12 @@ impl Worker {
 
     fn give_lease_back(&mut self) {
         let _ = self.source.ask(Request::ReleaseLease);
-        self.tell_steerer();
+        self.show_steerer();
     }
 
-    fn tell_steerer(&mut self) {
+    fn show_steerer(&mut self) {
         self.latest.lock().unwrap_or_else(PoisonError::into_inner).steerer = self.wheel.holder().cloned();
-        self.viewers.tell_each(|viewer| self.steerer(viewer).to_json().into());
+        self.viewers.send_each(|viewer| self.steerer(viewer).to_json().into());
         // The state names the page too.
         self.shown = None;
     }
@@ -567,8 +576,8 @@ impl Worker {
     }
 }
 
-fn tell(viewer: &Viewer, message: &ToPage) {
-    viewer.tell(message.to_json().into());
+fn send(viewer: &Viewer, message: &ToPage) {
+    viewer.send(message.to_json().into());
 }
 
 /// Answers requests that have waited.
@@ -578,7 +587,7 @@ fn answer_all(waiting: &mut Vec<(Arc<Viewer>, u32)>, result: &Result<String, Str
             Ok(text) => Answer::done(id, text),
             Err(why) => Answer::refused(Some(id), why),
         };
-        tell(&viewer, &ToPage::Answer(answer));
+        send(&viewer, &ToPage::Answer(answer));
     }
 }
 

@@ -25,7 +25,7 @@ pub struct RecorderReader {
     pub viewer: Arc<Viewer>,
     /// Id of its request.
     pub id: u32,
-    /// What was read; none before the device has told what there is.
+    /// What was read; none before the device has reported what there is.
     reading: Option<Reading>,
 }
 
@@ -104,7 +104,7 @@ mod tests {
     fn a_reading_fails_with_what_does_not_answer_it() {
         let failed =
             |mut reader: RecorderReader, answer| matches!(reader.take(&READ, &answer), Some(Next::Failed(_)));
-        assert!(failed(reader(), Ok(empty_page(5))), "before the device has told what there is");
+        assert!(failed(reader(), Ok(empty_page(5))), "before the device has reported what there is");
         for (answer, why) in [
             (Ok(empty_page(3)), "a page from before"),
             (Ok(status()), "the state again"),

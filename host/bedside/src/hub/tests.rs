@@ -1,4 +1,4 @@
-//! Tests of a hub whose disk hangs.
+//! Tests of a hub whose disk hangs, and of the lease.
 
 use super::*;
 use crate::record::WAITING_MAX;
@@ -17,15 +17,20 @@ use tokio::runtime::{Builder, Runtime};
 /// Longest time that a test waits for anything.
 const LONG: Duration = Duration::from_mins(1);
 
-/// News from a test.
-struct Fed(Receiver<News>);
+/// News from a test, and the requests to the device.
+struct Fed {
+    news: Receiver<News>,
+    asked: Sender<Request>,
+}
 
 impl Source for Fed {
     fn next(&mut self, _patience: Duration) -> Option<News> {
-        self.0.try_recv().ok()
+        self.news.try_recv().ok()
     }
 
-    fn ask(&mut self, _request: Request) -> Result<(), Unable> {
+    fn ask(&mut self, request: Request) -> Result<(), Unable> {
+        // A test that looks at no request has dropped the other end.
+        let _ = self.asked.send(request);
         Ok(())
     }
 
@@ -36,6 +41,7 @@ impl Source for Fed {
 struct Rig {
     worker: Worker,
     news: Sender<News>,
+    asked: Receiver<Request>,
     runtime: Runtime,
     tick: u64,
 }
@@ -46,15 +52,16 @@ impl Rig {
         let metrics = Arc::new(Metrics::new(std::slice::from_ref(&info)));
         let viewers = Arc::new(Viewers::new(Arc::clone(&metrics)));
         let (news, fed) = channel();
+        let (ask, asked) = channel();
+        let source = Box::new(Fed { news: fed, asked: ask });
         let DeviceInfo { name, kind, period_us, .. } = info;
-        let watch =
-            Watch { name, kind, period_us, source: Box::new(Fed(fed)), verdict: None, recorder: None };
+        let watch = Watch { name, kind, period_us, source, verdict: None, recorder: None };
         let worker = Worker::new(0, watch, folder, channel().1, viewers, metrics);
         let (in_force, pending) = (Settings::default(), None);
         let result = Ok(Response::Settings { in_force, pending });
         news.send(News::Answer { request: Request::GetSettings, result }).unwrap();
         let runtime = Builder::new_current_thread().enable_all().build().unwrap();
-        Self { worker, news, runtime, tick: 0 }
+        Self { worker, news, asked, runtime, tick: 0 }
     }
 
     fn page(&self) -> Arc<Viewer> {
@@ -140,7 +147,7 @@ fn a_hub_goes_on(folder: &Path) {
     rig.worker.send();
     assert_eq!(seen + rig.read(&other).0, rig.tick, "the other page has seen all of them");
     let slow = |text: &&Value| text["type"] == "event" && text["text"].as_str().unwrap().contains("too slow");
-    assert_eq!(texts.iter().filter(slow).count(), 1, "told once");
+    assert_eq!(texts.iter().filter(slow).count(), 1, "reported once");
     let state = rig.text(&other, |text| text["type"] == "state");
     let lost = state["recording"]["lost"].as_u64().unwrap();
     assert!((4500..=5500).contains(&lost), "{state}");
@@ -160,7 +167,7 @@ fn a_hub_goes_on(folder: &Path) {
 }
 
 #[test]
-fn a_disk_that_hangs_delays_no_page_and_what_it_loses_is_told() {
+fn a_disk_that_hangs_delays_no_page_and_what_it_loses_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().to_owned();
     let (done, waits) = channel();
@@ -174,4 +181,17 @@ fn a_disk_that_hangs_delays_no_page_and_what_it_loses_is_told() {
         "the hub hangs"
     );
     test.join().unwrap();
+}
+
+#[test]
+fn only_a_confirmed_take_over_takes_the_lease_from_another_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rig = Rig::new(folder.path());
+    let page = rig.page();
+    let take = |take_over| FromPage::Take { device: 0, take_over };
+    rig.worker.obey(&page, &take(false));
+    assert_eq!(rig.asked.try_iter().count(), 0);
+    rig.worker.obey(&page, &take(true));
+    let asked: Vec<Request> = rig.asked.try_iter().collect();
+    assert_eq!(asked, [Request::AcquireLease { name: device::host_name(), take_over: true }]);
 }

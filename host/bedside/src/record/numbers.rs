@@ -4,7 +4,7 @@ use data::recording::{Row, phase_number};
 use shared::settings::Settings;
 use shared::ventilator::{Sample, opening};
 
-use super::tape::Gap;
+use super::recorded_file::Gap;
 
 /// Numbers the breaths so that they ascend, also when a ventilation starts again.
 #[derive(Debug, Default)]

@@ -46,17 +46,17 @@ fn breathe(recorder: &mut Recorder, breaths: std::ops::Range<u32>, pressure: f32
     }
 }
 
-/// The next thing that the recorder tells.
-fn told(recorder: &mut Recorder) -> Told {
+/// The next notice of the recorder.
+fn notice(recorder: &mut Recorder) -> Notice {
     let deadline = Instant::now() + LONG;
     loop {
-        let mut told = recorder.told();
-        if !told.is_empty() {
+        let mut notices = recorder.notices();
+        if !notices.is_empty() {
             // What else has come is for the next call.
-            recorder.told.extend(told.drain(1..));
-            return told.remove(0);
+            recorder.notices.extend(notices.drain(1..));
+            return notices.remove(0);
         }
-        assert!(Instant::now() < deadline, "nothing is told");
+        assert!(Instant::now() < deadline, "no notice comes");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
@@ -82,15 +82,15 @@ fn identity() -> DeviceIdentity {
 /// Starts a recording; returns its file.
 fn start(recorder: &mut Recorder) -> PathBuf {
     recorder.start(5, None, "a page").unwrap();
-    assert!(matches!(told(recorder), Told::Started(Ok(_))));
+    assert!(matches!(notice(recorder), Notice::Started(Ok(_))));
     recorder.info().unwrap().file.into()
 }
 
 /// Ends the recording; returns the answer.
 fn stop(recorder: &mut Recorder) -> String {
     assert!(recorder.stop());
-    match told(recorder) {
-        Told::Stopped(Ok(text)) => text,
+    match notice(recorder) {
+        Notice::Stopped(Ok(text)) => text,
         other => panic!("{other:?}"),
     }
 }
@@ -110,7 +110,7 @@ fn a_recording_holds_every_sample_from_its_start_to_its_end_and_the_markers() {
     let path = start(&mut recorder);
     recorder.start(6, None, "another").unwrap();
     let goes_on = format!("recording to {}, without MCAP: the device is not known", path.display());
-    assert_eq!(told(&mut recorder), Told::Started(Ok(goes_on)));
+    assert_eq!(notice(&mut recorder), Notice::Started(Ok(goes_on)));
     breathe(&mut recorder, 2..4, 20.0);
     assert!(recorder.mark("suction", 9));
     // Ventilation starts again, from breath 0.
@@ -133,7 +133,7 @@ fn a_capture_has_ten_seconds_before_its_trigger_and_ten_after_it() {
     assert_eq!(files(folder.path()).len(), 0, "nothing has triggered it");
     breathe(&mut recorder, 20..21, 31.0);
     breathe(&mut recorder, 21..40, 20.0);
-    let Told::Event(text) = told(&mut recorder) else { panic!() };
+    let Notice::Event(text) = notice(&mut recorder) else { panic!() };
     assert!(text.starts_with("capture: 2000 samples written to "), "{text}");
     assert_eq!(recorder.triggers(), None, "one shot");
     breathe(&mut recorder, 40..41, 31.0);
@@ -181,9 +181,9 @@ fn a_folder_that_cannot_be_written_is_an_error_and_nothing_else() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let mut recorder = recorder(file.path());
     recorder.start(5, None, "a page").unwrap();
-    assert!(matches!(told(&mut recorder), Told::Started(Err(_))));
+    assert!(matches!(notice(&mut recorder), Notice::Started(Err(_))));
     breathe(&mut recorder, 0..1, 20.0);
-    assert_eq!((recorder.info(), recorder.told()), (None, vec![]));
+    assert_eq!((recorder.info(), recorder.notices()), (None, vec![]));
 }
 
 #[test]
@@ -215,15 +215,15 @@ fn a_recording_whose_mcap_file_cannot_be_created_does_not_start() {
     let mcap = folder.path().join("recording-3-5.mcap");
     std::fs::create_dir(&mcap).unwrap();
     recorder.start(5, Some(&identity), "a page").unwrap();
-    assert!(matches!(told(&mut recorder), Told::Started(Err(_))));
+    assert!(matches!(notice(&mut recorder), Notice::Started(Err(_))));
     assert_eq!((recorder.info(), files(folder.path())), (None, vec![mcap]), "nor is half of it left");
     recorder.start(6, Some(&identity), "a page").unwrap();
-    let Told::Started(Ok(text)) = told(&mut recorder) else { panic!() };
+    let Notice::Started(Ok(text)) = notice(&mut recorder) else { panic!() };
     assert!(text.ends_with("recording-3-6.parquet"), "with MCAP: {text}");
 }
 
 #[test]
-fn a_disk_that_hangs_delays_nothing_and_what_it_loses_is_counted_and_told() {
+fn a_disk_that_hangs_delays_nothing_and_what_it_loses_is_counted_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = recorder(folder.path());
     let path = start(&mut recorder);
@@ -235,8 +235,8 @@ fn a_disk_that_hangs_delays_nothing_and_what_it_loses_is_counted_and_told() {
     let RecordingInfo { samples, lost, .. } = recorder.info().unwrap();
     assert_eq!(samples + lost, u64::from(breaths + 7) * 100);
     assert!((600..=800).contains(&lost), "{lost}");
-    let event = Told::Event("the disk is too slow: the recording loses samples".to_owned());
-    assert_eq!(recorder.told(), [event], "once");
+    let event = Notice::Event("the disk is too slow: the recording loses samples".to_owned());
+    assert_eq!(recorder.notices(), [event], "once");
     drop(goes_on);
     let deadline = Instant::now() + LONG;
     while !recorder.writer.has_room() {
@@ -274,7 +274,7 @@ fn a_recorder_that_ends_while_its_disk_hangs_writes_everything_that_waits() {
 }
 
 #[test]
-fn a_folder_that_is_gone_is_told_when_the_recording_ends() {
+fn a_folder_that_is_gone_is_reported_when_the_recording_ends() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = recorder(folder.path());
     start(&mut recorder);
@@ -282,23 +282,23 @@ fn a_folder_that_is_gone_is_told_when_the_recording_ends() {
     folder.close().unwrap();
     assert!(recorder.stop());
     assert!(recorder.start(9, None, "another").is_err(), "the last one is not finished");
-    let Told::Stopped(Err(why)) = told(&mut recorder) else { panic!() };
+    let Notice::Stopped(Err(why)) = notice(&mut recorder) else { panic!() };
     assert!(why.contains("cannot write"), "{why}");
     assert_eq!((recorder.info(), recorder.stop()), (None, false));
 }
 
 #[test]
-fn a_write_that_fails_ends_the_recording_and_is_told() {
+fn a_write_that_fails_ends_the_recording_and_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = recorder(folder.path());
     recorder.start(5, Some(&identity()), "a page").unwrap();
-    assert!(matches!(told(&mut recorder), Told::Started(Ok(_))));
+    assert!(matches!(notice(&mut recorder), Notice::Started(Ok(_))));
     // Rows that are not in order are found as late as a full disk is: when a whole group of them is written.
     for _ in 0..2 {
         let rows = vec![Row::default(); 1 << 17];
         recorder.writer.give(Job::Rows { which: Which::Recording, rows });
     }
-    let Told::Event(text) = told(&mut recorder) else { panic!() };
+    let Notice::Event(text) = notice(&mut recorder) else { panic!() };
     assert!(text.starts_with("the recording ends here: "), "{text}");
     let mcap = std::fs::read(folder.path().join("recording-3-5.mcap")).unwrap();
     assert!(mcap.ends_with(b"\x89MCAP0\r\n"), "the MCAP file is finished, too");

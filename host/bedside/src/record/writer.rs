@@ -140,10 +140,10 @@ impl Writer {
         let waiting = Arc::new(AtomicUsize::new(0));
         let still = Arc::clone(&waiting);
         let thread = thread::spawn(move || {
-            let mut desk = Desk { recording: None, capture: None, mcap: None };
+            let mut files = OpenFiles { recording: None, capture: None, mcap: None };
             for job in received {
                 let weight = job.weight();
-                if let Some(done) = desk.carry_out(job) {
+                if let Some(done) = files.carry_out(job) {
                     // Nobody reads it if the owner is being dropped, but then the rest must be written all the same.
                     let _ = report.send(done);
                 }
@@ -162,7 +162,7 @@ impl Writer {
     pub fn give(&self, job: Job) {
         self.waiting.fetch_add(job.weight(), Ordering::Relaxed);
         if let Some(jobs) = &self.jobs {
-            // Without the thread `report` tells that it has ended.
+            // Without the thread, `report` says that it has ended.
             let _ = jobs.send(job);
         }
     }
@@ -197,13 +197,13 @@ impl Drop for Writer {
 }
 
 /// The open files.
-struct Desk {
+struct OpenFiles {
     recording: Option<RecordingWriter>,
     capture: Option<RecordingWriter>,
     mcap: Option<Capture>,
 }
 
-impl Desk {
+impl OpenFiles {
     fn slot(&mut self, which: Which) -> &mut Option<RecordingWriter> {
         match which {
             Which::Recording => &mut self.recording,
@@ -246,23 +246,23 @@ impl Desk {
         provenance: Provenance,
         mcap: Option<&McapHead>,
     ) -> Result<(), RecordError> {
-        let tape = RecordingWriter::create(path, provenance, &[])?;
+        let recording = RecordingWriter::create(path, provenance, &[])?;
         // Half a recording would look like a whole one: without the MCAP file there is no Parquet file, either.
         if let Some(McapHead { name, identity, now_ms }) = mcap {
             let file = path.with_extension("mcap");
             self.mcap = Some(Capture::create(&file, name, identity, now_ms * 1_000_000)?);
         }
-        *self.slot(which) = Some(tape);
+        *self.slot(which) = Some(recording);
         Ok(())
     }
 
     fn add(&mut self, which: Which, rows: Vec<Row>) -> Option<Report> {
         let slot = self.slot(which);
-        let tape = slot.as_mut()?;
-        let error = rows.into_iter().try_for_each(|row| tape.push(row)).err()?;
+        let recording = slot.as_mut()?;
+        let error = rows.into_iter().try_for_each(|row| recording.push(row)).err()?;
         *slot = None;
         if which == Which::Recording {
-            // It ends with the recording; the failure that is told is the first one.
+            // It ends with the recording; the first failure is the one that is reported.
             self.end_mcap();
         }
         Some(Report::Failed(which, error.into()))
@@ -275,13 +275,13 @@ impl Desk {
             Which::Capture => None,
         };
         let mcap = mcap.map_or(Ok(()), |mcap| mcap.finish().map(drop).map_err(RecordError::from));
-        let mut tape = self.slot(which).take()?;
-        tape.provenance().notes.extend(notes);
-        let written = tape.finish().map_err(RecordError::from).and(mcap);
+        let mut recording = self.slot(which).take()?;
+        recording.provenance().notes.extend(notes);
+        let written = recording.finish().map_err(RecordError::from).and(mcap);
         Some(written.map_or_else(|error| Report::Failed(which, error), |()| Report::Closed(which)))
     }
 
-    /// Gives up the MCAP file; tells its first failure.
+    /// Gives up the MCAP file; reports its first failure.
     fn end_mcap(&mut self) -> Option<Report> {
         let reason = self.mcap.take()?.finish().err()?;
         Some(Report::McapFailed(reason.into()))

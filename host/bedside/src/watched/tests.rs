@@ -167,25 +167,26 @@ fn a_device_that_ventilates_without_samples_is_lost_although_it_answers() {
 }
 
 #[test]
-fn an_alarm_whose_message_was_lost_is_told_with_the_next_report() {
+fn an_alarm_whose_message_was_lost_comes_with_the_next_report() {
     let mut watched = watched();
     assert_eq!(events(&take(&mut watched, &report(&[], &[], Level::Learned), 1)), []);
     let faults = [Fault::Disconnection];
-    let told = |watched: &mut Watched| events(&take(watched, &report(&faults, &faults, Level::Learned), 2));
-    assert_eq!((told(&mut watched), told(&mut watched)), (vec![EventKind::Alarm], vec![]));
+    let reported =
+        |watched: &mut Watched| events(&take(watched, &report(&faults, &faults, Level::Learned), 2));
+    assert_eq!((reported(&mut watched), reported(&mut watched)), (vec![EventKind::Alarm], vec![]));
     let repeated = News::Event(Event::Unacknowledged { fault: Fault::Disconnection, tick: 7 });
     assert_eq!(events(&take(&mut watched, &repeated, 5000)), []);
 }
 
 #[test]
-fn the_safe_state_is_told() {
+fn the_safe_state_is_shown() {
     let mut watched = watched();
     let modes = [Mode::Standby, Mode::Ventilating, Mode::Fault(Fault::HighPressure)];
-    let told = modes.map(|mode| {
+    let safe = modes.map(|mode| {
         take(&mut watched, &answer(Request::Stop, Response::Mode(mode)), 1);
         watched.state(1, None, None, None).safe_state
     });
-    assert_eq!(told, [false, false, true]);
+    assert_eq!(safe, [false, false, true]);
 }
 
 #[test]
@@ -234,7 +235,7 @@ fn losses_count_on_when_a_line_is_opened_again() {
     assert_eq!(watched.state(6, None, None, None).line.corrupt, 12);
 }
 
-/// What a device tells of a breath.
+/// What a device reports of a breath.
 fn summary(lesson: Lesson, adopted: u8, leak: Option<f32>) -> News {
     let summary = BreathSummary {
         breath: 3,
@@ -306,7 +307,7 @@ fn figures(out: &Out) -> Option<&BreathFigures> {
 }
 
 #[test]
-fn a_broken_line_is_told_once() {
+fn a_broken_line_is_reported_once() {
     let mut watched = watched();
     take(&mut watched, &timing(10), 1000);
     let lost = News::Lost("unplugged".into());
@@ -316,7 +317,7 @@ fn a_broken_line_is_told_once() {
 }
 
 #[test]
-fn a_restart_is_told_and_later_figures_start_from_nothing() {
+fn a_restart_is_reported_and_later_figures_start_from_nothing() {
     let mut watched = watched();
     take(&mut watched, &timing(5000), 1);
     take(&mut watched, &batch(100, 16), 2);
@@ -325,7 +326,7 @@ fn a_restart_is_told_and_later_figures_start_from_nothing() {
 }
 
 #[test]
-fn an_alarm_is_told_once_and_listed() {
+fn an_alarm_is_reported_once_and_listed() {
     let mut watched = watched();
     let alarm = News::Event(Event::Alarm { fault: Fault::Disconnection, tick: 7 });
     assert_eq!(events(&take(&mut watched, &alarm, 9)), [EventKind::Alarm]);

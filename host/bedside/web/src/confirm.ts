@@ -1,7 +1,10 @@
-// Rules for changes of the settings: the bounds of typed values, and large changes, which need a confirmation. Pure.
+// Rules for changes: the bounds of typed values, and what needs a confirmation: large changes, and control that another has. Pure.
 
 import { plain, words } from "./format";
-import type { Setting, Values } from "./stream";
+import type { Setting, State, Values } from "./stream";
+
+/** How a state names the page's own server as the holder of the device's lease. */
+const OWN_SERVER = "this server";
 
 /** A typed value: a number within the bounds, or the reason why not. */
 export type Typed = { value: number } | { reason: string };
@@ -30,4 +33,9 @@ export function large(settings: readonly Setting[], applied: Values, asked: Valu
   return changes(settings, applied, asked)
     .filter(({ name, unit }) => unit === "cmH2O" && !(Math.abs((asked[name] ?? 0) - (applied[name] ?? Number.NaN)) <= limit))
     .map(({ name, unit }) => `${words(name)} from ${plain(applied[name] ?? Number.NaN)} to ${plain(asked[name] ?? 0)} ${unit}`);
+}
+
+/** Who else steers a device: a page, or a program that holds the device's lease past all pages. */
+export function steerers(state: Pick<State, "steered_by" | "lease"> | null): string[] {
+  return [state?.steered_by, state?.lease].filter((who) => typeof who === "string" && who !== OWN_SERVER) as string[];
 }

@@ -1,6 +1,6 @@
 // The panel for steering a device: the settings as asked and as applied, start and stop, and who steers.
 
-import { changes, large, typed } from "./confirm";
+import { changes, large, steerers, typed } from "./confirm";
 import type { Device } from "./device";
 import { confirm } from "./dialog";
 import { button, h, setAttribute, setText, show } from "./dom";
@@ -61,7 +61,7 @@ export class Steer {
     setText(this.who, who(device, mayEver));
     show(this.take, mayEver);
     show(this.start, mayEver);
-    setText(this.take, device.yours ? "Release control" : device.state?.steered_by ? "Take over control" : "Take control");
+    setText(this.take, device.yours ? "Release control" : steerers(device.state).length > 0 ? "Take over control" : "Take control");
     const [starts, ventilates] = [this.starting === device, device.state?.ventilating ?? false];
     setText(this.start, ventilates ? "Stop ventilation" : starts ? "Cancel the start" : "Start ventilation");
     setAttribute(this.start, "data-stops", String(ventilates || starts));
@@ -139,10 +139,10 @@ export class Steer {
   private async toggle(): Promise<void> {
     const { device } = this;
     if (device === null) return;
-    const [id, holder] = [device.info.id, device.state?.steered_by ?? null];
+    const [id, others] = [device.info.id, steerers(device.state)];
     if (device.yours) return this.tell({ type: "release", device: id });
-    if (holder === null) return this.tell({ type: "take", device: id });
-    const lines = [`${holder} steers ${device.info.name} now and will lose control.`];
+    if (others.length === 0) return this.tell({ type: "take", device: id });
+    const lines = others.map((who) => `${who} steers ${device.info.name} now and will lose control.`);
     if (await confirm("Take over control?", lines, "Take over")) this.tell({ type: "take", device: id, take_over: true });
   }
 

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { changes, large, typed } from "../src/confirm";
+import { changes, large, steerers, typed } from "../src/confirm";
 import { count, fixed, origin, plain, ratio, sentence, words } from "../src/format";
 import { group, isPid } from "../src/pairs";
 import { end, roundUp } from "../src/scale";
@@ -31,6 +31,14 @@ test("only pressures that change by more than 5 cmH2O need a confirmation", () =
   assert.deepEqual(large(both, { pip: 20, rate: 20 }, { pip: 25.1, rate: 20 }, 5), ["PIP from 20 to 25.1 cmH2O"]);
   assert.equal(large(both, { pip: 20, rate: 20 }, { pip: 14, rate: 20 }, 5).length, 1);
   assert.equal(large(both, {}, { pip: 20 }, 5).length, 1, "an unknown pressure counts as a large change");
+});
+
+test("control that another page or another program has is taken over with a confirmation only", () => {
+  assert.deepEqual(steerers({ steered_by: null, lease: null }), []);
+  assert.deepEqual(steerers({ steered_by: null, lease: "this server" }), []);
+  assert.deepEqual(steerers({ steered_by: "a page", lease: "this server" }), ["a page"]);
+  assert.deepEqual(steerers({ steered_by: null, lease: "anna@icu" }), ["anna@icu"]);
+  assert.deepEqual(steerers(null), []);
 });
 
 test("the noise of a 32-bit float is no change", () => {

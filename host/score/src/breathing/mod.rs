@@ -72,7 +72,7 @@ pub struct Patients {
 
 /// Result of an evaluation on breathing patients.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Breathing {
+pub struct BreathingScores {
     /// Patients by lung, then by strength; only the complete ones if the evaluation was stopped.
     pub patients: Vec<Patients>,
     /// Mean over the patients, by controller.
@@ -106,7 +106,7 @@ pub fn breathing<C: ControlLaw + Clone + Sync>(
     controllers: &[&C],
     plan: &Plan,
     progress: &Progress<'_>,
-) -> Result<Breathing, SourceError> {
+) -> Result<BreathingScores, SourceError> {
     let runs = plan.pips.len() * plan.seeds.len() * (1 + STRENGTHS.len() * RHYTHMS.len());
     let task = progress.task(EVALUATE, benches.len() * controllers.len() * runs);
     let mut patients = Vec::new();
@@ -119,7 +119,7 @@ pub fn breathing<C: ControlLaw + Clone + Sync>(
     }
     let of_controller = |n: usize| patients.iter().map(|p| p.controllers[n]).collect::<Vec<_>>();
     let mean = (0..controllers.len()).map(|n| Kinds::mean(&of_controller(n))).collect();
-    Ok(Breathing { patients, mean })
+    Ok(BreathingScores { patients, mean })
 }
 
 /// All patients of one bench.

@@ -19,7 +19,7 @@ fn small() -> Plan {
     Plan { pips: vec![15.0, 30.0], breaths: 4, seeds: vec![1], ..Plan::default() }
 }
 
-fn scored(benches: &[BenchConfig], controllers: &[&Controller]) -> Breathing {
+fn scored(benches: &[BenchConfig], controllers: &[&Controller]) -> BreathingScores {
     breathing(benches, controllers, &small(), &Progress::silent()).unwrap()
 }
 

@@ -56,7 +56,7 @@ fn blackbox() -> Blackbox {
 }
 
 #[test]
-fn summary_and_events_tell_the_story() {
+fn the_summary_and_the_events() {
     let text = [summary(&blackbox(), "COM3").to_plain(), events(&blackbox(), 40).to_plain()].join("\n");
     insta::assert_snapshot!(text);
 }
@@ -71,21 +71,21 @@ fn old_events_are_left_out_and_counted() {
 }
 
 #[test]
-fn the_csv_has_a_line_for_each_tick_and_tells_gaps_and_missing_readings() {
+fn the_csv_has_a_line_for_each_tick_and_shows_gaps_and_missing_readings() {
     insta::assert_snapshot!(csv(&blackbox()));
 }
 
 #[test]
-fn every_way_in_which_a_recording_ends_is_told() {
-    let told = |recording| {
+fn every_way_in_which_a_recording_ends_is_named() {
+    let end = |recording| {
         let mut blackbox = blackbox();
         blackbox.status.recording = recording;
         story(&blackbox)
     };
-    assert!(told(RecordingState::Nothing).contains("nothing"));
-    assert!(told(RecordingState::Running).contains("ventilates"));
-    assert!(told(RecordingState::Stopped).contains("by a stop, at 2.345 s after start 1"));
-    assert!(told(RecordingState::Reset).contains("by a reset while ventilating"));
+    assert!(end(RecordingState::Nothing).contains("nothing"));
+    assert!(end(RecordingState::Running).contains("ventilates"));
+    assert!(end(RecordingState::Stopped).contains("by a stop, at 2.345 s after start 1"));
+    assert!(end(RecordingState::Reset).contains("by a reset while ventilating"));
     let restored = Blackbox { from_flash: true, ..blackbox() };
     assert_eq!(
         story(&restored),

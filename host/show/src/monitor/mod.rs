@@ -1,15 +1,11 @@
-//! `trainer monitor`: shows an operator the state of a running device, and turns keys into requests.
+//! A device that is watched: the session with it, its news as lines and as an MCAP file.
 //!
-//! A view neither talks to a device nor reads a clock: it takes [`News`] and returns requests. The same news always
-//! give the same picture, so pictures can be tested.
+//! Lines and capture neither talk to a device nor read a clock: they take [`News`]. The same news always give the same
+//! text, so it can be tested.
 
 pub mod capture;
-pub mod draw;
 pub mod plain;
 pub mod session;
-pub mod terminal;
-pub mod view;
-pub mod window;
 pub mod words;
 
 #[cfg(test)]

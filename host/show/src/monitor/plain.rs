@@ -1,4 +1,4 @@
-//! A device's news as lines, for a file, a pipe or a terminal without charts.
+//! A device's news as lines, for a terminal, a pipe or a file.
 //!
 //! A line is written when something changes, not at every poll.
 

@@ -1,7 +1,7 @@
 //! A session with a device: a thread that owns the connection, forwards news, sends requests, and polls the device once
 //! a second.
 //!
-//! By itself it only reads (which also renews the lease if a key has acquired it), and repeatedly switches telemetry on, because a restarted device has it off. If the line
+//! By itself it only reads (which also renews the lease if a request has acquired it), and repeatedly switches telemetry on, because a restarted device has it off. If the line
 //! breaks, the thread reopens it; requests meanwhile are answered as not sent, so that none reaches a device late.
 //! Events are forwarded also while an answer is awaited, so that a lost frame delays no waveform and no alarm. A stop overtakes
 //! the requests that wait, and cancels a start among them.
@@ -43,8 +43,8 @@ impl Session {
     /// Starts a session with a device in its own thread.
     pub fn start(device: Device) -> Self {
         let (requests, requested) = channel();
-        let (told, news) = channel();
-        thread::spawn(move || Watcher { device, requested, queue: VecDeque::new(), told }.run());
+        let (reports, news) = channel();
+        thread::spawn(move || Watcher { device, requested, queue: VecDeque::new(), news: reports }.run());
         Self { requests, news }
     }
 
@@ -52,11 +52,6 @@ impl Session {
     pub fn ask(&self, request: Request) {
         // The thread lives as long as this end.
         let _ = self.requests.send(request);
-    }
-
-    /// The news received so far.
-    pub fn news(&self) -> impl Iterator<Item = News> + '_ {
-        self.news.try_iter()
     }
 
     /// Waits for the next piece of news; says so if the session has failed.
@@ -95,7 +90,7 @@ struct Watcher {
     requested: Receiver<Request>,
     /// Requests that wait for their turn.
     queue: VecDeque<Request>,
-    told: Sender<News>,
+    news: Sender<News>,
 }
 
 impl Watcher {
@@ -111,19 +106,19 @@ impl Watcher {
         let _ = self.device.telemetry(false);
     }
 
-    /// Refuses waiting requests, because a key pressed before the reconnection referred to the state at that time, and
+    /// Refuses waiting requests, because a request from before the reconnection referred to the state at that time, and
     /// tries until the line is open again.
     fn reopen(&mut self, reason: &DeviceError) -> Result<(), End> {
         self.queue.extend(self.requested.try_iter());
         for request in std::mem::take(&mut self.queue) {
             self.refuse(request)?;
         }
-        self.tell(News::Lost(reason.to_string()))?;
+        self.report(News::Lost(reason.to_string()))?;
         loop {
             self.wait_without_line()?;
             match self.device.reconnect() {
                 Ok(()) => return Ok(()),
-                Err(reason) => self.tell(News::Lost(reason.to_string()))?,
+                Err(reason) => self.report(News::Lost(reason.to_string()))?,
             }
         }
     }
@@ -141,7 +136,7 @@ impl Watcher {
     }
 
     fn refuse(&self, request: Request) -> Result<(), End> {
-        self.tell(News::Answer { request, result: Err("no connection: nothing was sent".to_owned()) })
+        self.report(News::Answer { request, result: Err("no connection: nothing was sent".to_owned()) })
     }
 
     fn watch_line(&mut self) -> Result<Infallible, End> {
@@ -154,7 +149,7 @@ impl Watcher {
                     // A line that loses frames makes a poll slow.
                     self.ask_queued()?;
                 }
-                self.tell(News::Traffic(self.device.counters()))?;
+                self.report(News::Traffic(self.device.counters()))?;
             }
             self.pass_events()?;
             match self.requested.recv_timeout(PASS_EVERY) {
@@ -174,7 +169,7 @@ impl Watcher {
             self.queue.extend(self.requested.try_iter());
             let (next, cancelled) = next_request(&mut self.queue);
             for request in cancelled {
-                self.tell(News::Answer { request, result: Err(CANCELLED.to_owned()) })?;
+                self.report(News::Answer { request, result: Err(CANCELLED.to_owned()) })?;
             }
             let Some(request) = next else { return Ok(()) };
             self.ask(request)?;
@@ -183,11 +178,11 @@ impl Watcher {
 
     /// Sends a request, once, and forwards the answer.
     fn ask(&mut self, request: Request) -> Result<(), End> {
-        let told = &self.told;
+        let news = &self.news;
         // A monitor that has ended is noticed with the answer.
-        let answer = self.device.request_passing(&request, &mut |event| _ = told.send(News::Event(event)));
+        let answer = self.device.request_passing(&request, &mut |event| _ = news.send(News::Event(event)));
         let result = answer.as_ref().cloned().map_err(ToString::to_string);
-        self.tell(News::Answer { request, result })?;
+        self.report(News::Answer { request, result })?;
         // After the answer, which may be older than an alarm that arrived in the meantime.
         self.pass_events()?;
         match answer {
@@ -199,13 +194,13 @@ impl Watcher {
     fn pass_events(&mut self) -> Result<(), End> {
         for _ in 0..EVENTS_AT_ONCE {
             let Some(event) = self.device.next_event() else { break };
-            self.tell(News::Event(event))?;
+            self.report(News::Event(event))?;
         }
         Ok(())
     }
 
-    fn tell(&self, news: News) -> Result<(), End> {
-        self.told.send(news).map_err(|_| End::Gone)
+    fn report(&self, news: News) -> Result<(), End> {
+        self.news.send(news).map_err(|_| End::Gone)
     }
 }
 
@@ -239,9 +234,9 @@ mod tests {
     }
 
     #[test]
-    fn a_session_whose_thread_has_ended_tells_it_and_does_not_spin() {
-        let (told, news) = channel();
-        drop(told);
+    fn a_session_whose_thread_has_ended_says_so_and_does_not_spin() {
+        let (reports, news) = channel();
+        drop(reports);
         let session = Session { requests: channel().0, news };
         let (patience, before) = (Duration::from_millis(20), Instant::now());
         assert_eq!(session.next(patience), Some(News::Lost(ENDED.to_owned())));

@@ -1,10 +1,7 @@
 //! Maps of a value over two lists, as SVG: one coloured cell per pair; the lowest one is framed.
 
-use std::fmt::Write;
-
 use super::ReportError;
-use super::html::escape;
-use super::svg::Svg;
+use super::svg::{Svg, rectangle, text};
 
 /// A map. The colour depends on the logarithm of the value, from the lowest value to `SPAN` times it; all higher values
 /// look alike.
@@ -42,7 +39,10 @@ const LEFT_OF_NAMES: f64 = 130.0;
 const RIGHT: f64 = 110.0;
 const TOP: f64 = 36.0;
 const BOTTOM: f64 = 56.0;
-const TEXT: &str = "font-family=\"sans-serif\" font-size=\"12\" fill=\"#222\"";
+/// Attributes of texts that begin, have their middle, or end at their place.
+const START: &str = "font-size=\"12\"";
+const MIDDLE: &str = "font-size=\"12\" text-anchor=\"middle\"";
+const END: &str = "font-size=\"12\" text-anchor=\"end\"";
 /// Largest number of marks on an axis.
 const MARKS: usize = 12;
 /// Number of colour samples in the legend.
@@ -62,11 +62,7 @@ impl HeatMap {
         let (columns, rows) = (self.x.len(), self.y.len());
         let cell = ((WIDTH - self.left() - RIGHT) / columns as f64, CELL_HEIGHT);
         let height = TOP + BOTTOM + CELL_HEIGHT * rows as f64;
-        let mut elements = format!(
-            "<text x=\"{}\" y=\"20\" font-weight=\"bold\" {TEXT}>{}</text>\n",
-            self.left(),
-            escape(&self.title)
-        );
+        let mut elements = text((self.left(), 20.0), "font-size=\"12\" font-weight=\"bold\"", &self.title);
         for (row, values) in self.values.iter().enumerate().take(rows) {
             for (column, value) in values.iter().enumerate().take(columns) {
                 if let Some(value) = value {
@@ -76,7 +72,7 @@ impl HeatMap {
         }
         elements += &self.axes(cell, height);
         elements += &legend(lowest, height - TOP - BOTTOM);
-        Ok(Svg { size: (WIDTH, height), canvas: (WIDTH, height), elements })
+        Ok(Svg { size: (WIDTH, height), elements })
     }
 
     fn lowest(&self) -> Result<f64, ReportError> {
@@ -123,21 +119,16 @@ impl HeatMap {
         };
         for column in (0..self.x.len()).step_by(step(&self.x_names, self.x.len())) {
             let x = self.corner((column, 0), cell).0 + 0.5 * cell.0;
-            svg += &text((x, height - BOTTOM + 16.0), "middle", &self.x_name(column));
+            svg += &text((x, height - BOTTOM + 16.0), MIDDLE, &self.x_name(column));
         }
         for row in (0..self.y.len()).step_by(step(&self.y_names, self.y.len())) {
             let y = self.corner((0, row), cell).1 + 0.5 * cell.1 + 4.0;
-            svg += &text((self.left() - 6.0, y), "end", &self.y_name(row));
+            svg += &text((self.left() - 6.0, y), END, &self.y_name(row));
         }
         let middle = 0.5 * (self.left() + WIDTH - RIGHT);
-        svg += &text((middle, height - 14.0), "middle", &self.x_label);
+        svg += &text((middle, height - 14.0), MIDDLE, &self.x_label);
         let (x, y) = (18.0, 0.5 * (TOP + height - BOTTOM));
-        let _ = writeln!(
-            svg,
-            "<text transform=\"translate({x} {y:.1}) rotate(-90)\" text-anchor=\"middle\" {TEXT}>{}</text>",
-            escape(&self.y_label)
-        );
-        svg
+        svg + &text((x, y), &format!("{MIDDLE} transform=\"rotate(-90 {x} {y:.1})\""), &self.y_label)
     }
 }
 
@@ -148,18 +139,10 @@ fn legend(lowest: f64, height: f64) -> String {
     for n in 0..LEGEND {
         let y = TOP + n as f64 * sample;
         let color = color(1.0 - n as f64 / (LEGEND - 1) as f64);
-        let _ = writeln!(
-            svg,
-            "<rect x=\"{x}\" y=\"{y:.1}\" width=\"16\" height=\"{:.1}\" fill=\"{color}\"/>",
-            sample + 0.5
-        );
+        svg += &rectangle((x, y), (x + 16.0, y + sample + 0.5), &color);
     }
-    svg += &text((x + 22.0, TOP + 10.0), "start", &format!("≥ {:.2}", lowest * SPAN));
-    svg + &text((x + 22.0, TOP + height), "start", &format!("{lowest:.2}"))
-}
-
-fn text((x, y): (f64, f64), anchor: &str, text: &str) -> String {
-    format!("<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {TEXT}>{}</text>\n", escape(text))
+    svg += &text((x + 22.0, TOP + 10.0), START, &format!("≥ {:.2}", lowest * SPAN));
+    svg + &text((x + 22.0, TOP + height), START, &format!("{lowest:.2}"))
 }
 
 /// A number with three significant digits.

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::svg::Svg;
+use super::text::escape;
 use super::{HeatMap, Plot, ReportError, Table};
 use data::files::write_atomically;
 use data::provenance::Provenance;
@@ -170,10 +171,4 @@ fn footer(provenance: &Provenance) -> String {
 
 fn details(summary: &str, text: &str) -> String {
     format!("<details><summary>{summary}</summary><pre>{}</pre></details>\n", escape(text.trim_end()))
-}
-
-/// Escapes text for HTML.
-pub(super) fn escape(text: &str) -> String {
-    let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
-    text.replace('"', "&quot;").replace('\'', "&#39;")
 }

@@ -1,6 +1,7 @@
 //! Reports: tables for the terminal, plots as SVG, and both in one self-contained HTML file.
 
 mod curve;
+mod draw;
 mod heat_map;
 mod html;
 mod markdown;
@@ -9,6 +10,7 @@ mod svg;
 mod table;
 #[cfg(test)]
 mod tests;
+mod text;
 mod ticks;
 
 use std::path::PathBuf;
@@ -36,9 +38,6 @@ pub enum ReportError {
     /// No series has a point.
     #[error("plot `{0}` has no points: omit it")]
     Empty(String),
-    /// The drawing library failed.
-    #[error("cannot draw plot `{plot}`: {detail}")]
-    Draw { plot: String, detail: String },
     /// The file cannot be written.
     #[error("cannot write {path}: {source}; an existing file of that name is unchanged")]
     Write { path: PathBuf, source: std::io::Error },

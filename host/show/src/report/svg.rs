@@ -1,30 +1,27 @@
-//! A drawing, as a separate file or as part of a page.
+//! A drawing, as a separate file or as part of a page, and the elements that it consists of, one in each line. Lengths are pixels.
 
 use std::fmt::Write;
 
-use super::html::escape;
+use super::curve::Point;
+use super::text::escape;
 
 /// SVG elements and their frame.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Svg {
-    /// Width and height on the page, pixels.
+    /// Width and height.
     pub size: (f64, f64),
-    /// Width and height of the canvas, in the units of the elements.
-    pub canvas: (f64, f64),
     /// The SVG elements.
     pub elements: String,
 }
 
 impl Svg {
-    /// Drawings of one scale below each other.
+    /// Drawings below each other.
     pub fn stacked(drawings: &[Self]) -> Self {
-        let mut whole = Self { size: (0.0, 0.0), canvas: (0.0, 0.0), elements: String::new() };
-        for drawing in drawings {
-            let top = whole.canvas.1;
-            let _ =
-                write!(whole.elements, "<g transform=\"translate(0 {top})\">\n{}</g>\n", drawing.elements);
-            whole.size = (whole.size.0.max(drawing.size.0), whole.size.1 + drawing.size.1);
-            whole.canvas = (whole.canvas.0.max(drawing.canvas.0), top + drawing.canvas.1);
+        let mut whole = Self::default();
+        for Self { size: (width, height), elements } in drawings {
+            let top = whole.size.1;
+            let _ = write!(whole.elements, "<g transform=\"translate(0 {top})\">\n{elements}</g>\n");
+            whole.size = (whole.size.0.max(*width), top + height);
         }
         whole
     }
@@ -40,17 +37,45 @@ impl Svg {
     }
 
     fn element(&self, before: &str, after: &str) -> String {
-        let Self { size: (width, height), canvas: (x, y), elements } = self;
+        let Self { size: (width, height), elements } = self;
         format!(
-            "<svg{before} width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {x} {y}\"{after}>\n{elements}</svg>\n"
+            "<svg{before} width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\"{after}>\n{elements}</svg>\n"
         )
     }
 }
 
-/// The elements within the root element of a document.
-pub(super) fn elements(document: &str) -> Option<&str> {
-    let (_, content) = document.split_once(">\n")?;
-    content.strip_suffix("</svg>\n")
+/// A line that joins points.
+pub(super) fn line(points: &[Point], color: &str, width: f64, dashed: bool) -> String {
+    let points: Vec<String> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+    let dashes = if dashed { " stroke-dasharray=\"7 5\"" } else { "" };
+    format!(
+        "<polyline points=\"{}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{width}\"{dashes}/>\n",
+        points.join(" ")
+    )
+}
+
+/// A filled rectangle between two opposite corners.
+pub(super) fn rectangle((x, y): Point, (other_x, other_y): Point, color: &str) -> String {
+    format!(
+        "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{color}\"/>\n",
+        x.min(other_x),
+        y.min(other_y),
+        (other_x - x).abs(),
+        (other_y - y).abs()
+    )
+}
+
+/// A dot.
+pub(super) fn dot((x, y): Point, color: &str) -> String {
+    format!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"{color}\"/>\n")
+}
+
+/// Words whose line is at `y`, with more attributes.
+pub(super) fn text((x, y): Point, attributes: &str, words: &str) -> String {
+    format!(
+        "<text x=\"{x:.1}\" y=\"{y:.1}\" font-family=\"sans-serif\" fill=\"#222\" {attributes}>{}</text>\n",
+        escape(words)
+    )
 }
 
 #[cfg(test)]
@@ -59,32 +84,25 @@ mod tests {
 
     #[test]
     fn a_drawing_is_a_document_or_a_part_of_a_page() {
-        let svg = Svg { size: (80.0, 40.0), canvas: (320.0, 160.5), elements: "<g/>\n".to_owned() };
-        let document = svg.to_document();
+        let svg = Svg { size: (80.0, 40.5), elements: "<g/>\n".to_owned() };
         assert_eq!(
-            document,
-            "<svg width=\"80\" height=\"40\" viewBox=\"0 0 320 160.5\" xmlns=\"http://www.w3.org/2000/svg\">\n<g/>\n</svg>\n"
+            svg.to_document(),
+            "<svg width=\"80\" height=\"40.5\" viewBox=\"0 0 80 40.5\" xmlns=\"http://www.w3.org/2000/svg\">\n<g/>\n</svg>\n"
         );
-        assert_eq!(elements(&document), Some("<g/>\n"));
         assert_eq!(
             svg.to_html("a < b"),
-            "<svg role=\"img\" aria-label=\"a &lt; b\" width=\"80\" height=\"40\" viewBox=\"0 0 320 160.5\">\n<g/>\n</svg>\n"
+            "<svg role=\"img\" aria-label=\"a &lt; b\" width=\"80\" height=\"40.5\" viewBox=\"0 0 80 40.5\">\n<g/>\n</svg>\n"
         );
-        assert_eq!(elements("<svg>"), None);
     }
 
     #[test]
     fn drawings_are_stacked_below_each_other() {
-        let svg = |width, height| Svg {
-            size: (width, height),
-            canvas: (4.0 * width, 4.0 * height),
-            elements: "<g/>\n".to_owned(),
-        };
+        let svg = |width, height| Svg { size: (width, height), elements: "<g/>\n".to_owned() };
         let both = Svg::stacked(&[svg(80.0, 40.0), svg(60.0, 20.0)]);
-        assert_eq!((both.size, both.canvas), ((80.0, 60.0), (320.0, 240.0)));
+        assert_eq!(both.size, (80.0, 60.0));
         assert_eq!(
             both.elements,
-            "<g transform=\"translate(0 0)\">\n<g/>\n</g>\n<g transform=\"translate(0 160)\">\n<g/>\n</g>\n"
+            "<g transform=\"translate(0 0)\">\n<g/>\n</g>\n<g transform=\"translate(0 40)\">\n<g/>\n</g>\n"
         );
     }
 }

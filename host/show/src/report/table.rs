@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 
 use comfy_table::{Attribute, CellAlignment, LineStyle, TableStyle};
 
-use super::html::escape;
+use super::text::escape;
 
 /// A single rule below the header.
 const RULED: TableStyle = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));

@@ -1,28 +1,28 @@
-//! Marks of a logarithmic axis; the drawing library has too few for a range of less than a few decades.
+//! Marks of an axis.
 
 use super::curve::Limits;
 
-/// About `wanted` round values within a positive range: decades, or 1, 2, 5 of each, or even steps in a narrow range.
-pub(super) fn logarithmic((low, high): Limits, wanted: usize) -> Vec<f64> {
+/// About `count` round values within a positive range: decades, or 1, 2, 5 of each, or even steps in a narrow range.
+pub(super) fn logarithmic((low, high): Limits, count: usize) -> Vec<f64> {
     let decades = (high / low).log10();
-    let wanted = wanted.max(2) as f64;
     if decades < 0.9 {
-        return linear((low, high), wanted);
+        return linear((low, high), count);
     }
+    let count = count.max(2) as f64;
     let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
     let within = |value: &f64| (low..=high).contains(value);
-    if decades < 0.5 * wanted {
+    if decades < 0.5 * count {
         let digits = |power: i32| [1.0, 2.0, 5.0].map(|digit| digit * 10_f64.powi(power));
         return (first..=last).flat_map(digits).filter(within).collect();
     }
-    let every = (decades / wanted).ceil().max(1.0) as usize;
+    let every = (decades / count).ceil().max(1.0) as usize;
     let start = first - first.rem_euclid(every as i32);
     (start..=last).step_by(every).map(|power| 10_f64.powi(power)).filter(within).collect()
 }
 
-/// Even steps of 1, 2 or 5, at most half the range wide, so that at least two marks are inside.
-fn linear((low, high): Limits, wanted: f64) -> Vec<f64> {
-    let widest = 2.0 * (high - low) / wanted.max(4.0);
+/// About `count` even steps of 1, 2 or 5 within a range, at most half the range wide, so that at least two marks are inside.
+pub(super) fn linear((low, high): Limits, count: usize) -> Vec<f64> {
+    let widest = 2.0 * (high - low) / count.max(4) as f64;
     let power = 10_f64.powf(widest.log10().floor());
     let step =
         [5.0, 2.0].map(|digit| digit * power).into_iter().find(|&step| step <= widest).unwrap_or(power);
@@ -49,11 +49,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_range_has_some_marks_all_within(low_power in -9.0..9.0_f64, decades in 0.05..12.0_f64, wanted in 4..10_usize) {
+        fn every_range_has_some_marks_all_within(low_power in -9.0..9.0_f64, decades in 0.05..12.0_f64, count in 4..10_usize) {
             let low = 10_f64.powf(low_power);
             let high = low * 10_f64.powf(decades);
-            let marks = logarithmic((low, high), wanted);
-            prop_assert!((2..=2 * wanted).contains(&marks.len()), "{:?}", marks);
+            let marks = logarithmic((low, high), count);
+            prop_assert!((2..=2 * count).contains(&marks.len()), "{:?}", marks);
             let slack = 1e-9 * high;
             prop_assert!(marks.iter().all(|&mark| (low - slack..=high + slack).contains(&mark)));
             prop_assert!(marks.is_sorted());

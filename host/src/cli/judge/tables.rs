@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::command::Context;
 use show::report::{Cell, Table};
-use verdict::{Accuracy, Judged, LimitResult, LungReport, Mean, USUAL, Verdict};
+use verdict::{Judged, LimitResult, LungReport, Mean, PhaseAccuracy, USUAL, Verdict};
 
 /// Prints a verdict with at most `worst` sore spots.
 pub fn print(context: &Context<'_>, file: &str, verdict: &Verdict, worst: usize) {
@@ -117,7 +117,7 @@ fn figures(verdict: &Verdict) -> Table {
 }
 
 fn accuracy(verdict: &Verdict) -> Vec<String> {
-    let line = |end: &str, accuracy: Option<Accuracy>| match accuracy {
+    let line = |end: &str, accuracy: Option<PhaseAccuracy>| match accuracy {
         Some(found) => format!(
             "End of {end}: {} covers {} breaths; largest error {:.2} cmH2O, {:.0} % of {USUAL}",
             found.declared,

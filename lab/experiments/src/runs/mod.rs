@@ -1,7 +1,6 @@
-//! Runs that left a record in a folder: finding, choosing, comparing, plotting and exporting them.
+//! Runs that left a record in a folder: finding, choosing, comparing and plotting them.
 
 mod compare;
-mod export;
 mod plots;
 #[cfg(test)]
 mod tests;
@@ -16,7 +15,6 @@ use walkdir::WalkDir;
 use show::report::ReportError;
 
 pub use compare::{Comparison, FigureDifference, OptionDifference};
-pub use export::{mlflow, tensorboard};
 pub use plots::plots;
 
 /// End of the name of a task's record.
@@ -24,7 +22,7 @@ const TASK: &str = ".task.json";
 /// Most names that an error lists.
 const NAMED: usize = 12;
 
-/// Why runs cannot be listed, compared, plotted or exported.
+/// Why runs cannot be listed, compared or plotted.
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the messages name every field")]
 pub enum RunsError {
@@ -54,9 +52,6 @@ pub enum RunsError {
     /// A plot cannot be drawn.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// An export cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Write { path: PathBuf, source: std::io::Error },
 }
 
 /// A run, from its record.

@@ -70,14 +70,14 @@ impl Account {
 
 /// Distribution of answer times, in bins of 5 %. Only these figures of a policy's account depend on the machine.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[serde(into = "Quantiles")]
+#[serde(into = "AnswerQuantiles")]
 pub struct AnswerTimes {
     bins: Vec<u64>,
 }
 
 /// Quantiles of answer times, microseconds; none without answers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Quantiles {
+pub struct AnswerQuantiles {
     /// The median.
     pub answer_median_us: Option<f64>,
     /// 99 % of the answers are as fast as this.
@@ -106,12 +106,12 @@ impl AnswerTimes {
     }
 
     /// Median and 99 %.
-    pub fn quantiles(&self) -> Quantiles {
-        Quantiles { answer_median_us: self.quantile(0.5), answer_p99_us: self.quantile(0.99) }
+    pub fn quantiles(&self) -> AnswerQuantiles {
+        AnswerQuantiles { answer_median_us: self.quantile(0.5), answer_p99_us: self.quantile(0.99) }
     }
 }
 
-impl From<AnswerTimes> for Quantiles {
+impl From<AnswerTimes> for AnswerQuantiles {
     fn from(times: AnswerTimes) -> Self {
         times.quantiles()
     }
@@ -141,9 +141,9 @@ mod tests {
     #[test]
     fn quantiles_of_answer_times_are_within_a_bin() {
         let mut times = AnswerTimes::default();
-        assert_eq!(times.quantiles(), Quantiles { answer_median_us: None, answer_p99_us: None });
+        assert_eq!(times.quantiles(), AnswerQuantiles { answer_median_us: None, answer_p99_us: None });
         (1..=1000).for_each(|us| times.add(Duration::from_micros(us)));
-        let Quantiles { answer_median_us, answer_p99_us } = times.quantiles();
+        let AnswerQuantiles { answer_median_us, answer_p99_us } = times.quantiles();
         for (found, wanted) in [(answer_median_us, 500.0), (answer_p99_us, 990.0)] {
             let ratio = found.unwrap() / wanted;
             assert!((1.0..=BIN_RATIO * BIN_RATIO).contains(&ratio), "{found:?}, not {wanted}");

@@ -33,26 +33,26 @@ pub fn evaluate(bench: &BenchConfig, policy: &Policy, plan: &Plan) -> Evaluated 
 }
 
 /// A policy's memory of a breath, its network, and the command that it holds, percent.
-pub struct PolicyState {
+pub struct TrainedPolicyState {
     memory: PolicyMemory,
     network: Single,
     held: f32,
 }
 
 impl ControlLaw for Policy {
-    type State = PolicyState;
+    type State = TrainedPolicyState;
 
-    fn initial_state(&self) -> PolicyState {
+    fn initial_state(&self) -> TrainedPolicyState {
         let Greedy { network, parameters, .. } = &self.greedy;
-        PolicyState { memory: PolicyMemory::default(), network: network.single(parameters), held: 0.0 }
+        TrainedPolicyState { memory: PolicyMemory::default(), network: network.single(parameters), held: 0.0 }
     }
 
-    fn start_breath(&self, state: &mut PolicyState, command: f32) {
+    fn start_breath(&self, state: &mut TrainedPolicyState, command: f32) {
         self.perception.start_breath(&mut state.memory, command);
     }
 
     /// The whole command is the base: there is no PID under it to fall back to.
-    fn step(&self, state: &mut PolicyState, seen: &Observation) -> ControlOutput {
+    fn step(&self, state: &mut TrainedPolicyState, seen: &Observation) -> ControlOutput {
         let features = self.perception.see(&mut state.memory, seen);
         if seen.tick.is_multiple_of(self.perception.hold) {
             let actions = self.greedy.actions;
@@ -62,7 +62,7 @@ impl ControlLaw for Policy {
         ControlOutput::plain(state.held)
     }
 
-    fn applied(&self, state: &mut PolicyState, command: f32) {
+    fn applied(&self, state: &mut TrainedPolicyState, command: f32) {
         self.perception.applied(&mut state.memory, command);
     }
 }

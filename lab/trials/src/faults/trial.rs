@@ -91,7 +91,7 @@ impl TrialOutcome {
             (None, Level::Backup) => Some(Action::Backup),
             (None, Level::CappedPid) => Some(Action::CappedPid),
             (None, Level::Pid) => Some(Action::Pid),
-            (None, Level::Learned) => (!self.alarms.is_empty()).then_some(Action::Tell),
+            (None, Level::Learned) => (!self.alarms.is_empty()).then_some(Action::Report),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The session against a simulated device: keys reach it, its news arrive, and a broken line is reopened.
+//! The session against a simulated device: requests reach it, its news arrive, and a broken line is reopened.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use monitoring::reported::Reported;
 use serialport::{SerialPort, TTYPort};
 
 use super::*;
@@ -18,7 +19,7 @@ use plant::bench::BenchConfig;
 /// Longest time that any step here may take.
 const LONG: Duration = Duration::from_mins(1);
 
-/// A socket that a monitor can connect to repeatedly.
+/// A socket that a session can connect to repeatedly.
 struct Socket(TcpListener);
 
 impl Socket {
@@ -39,70 +40,105 @@ impl Socket {
     }
 }
 
-/// Takes news until the view satisfies `expected`.
-fn watch(session: &Session, view: &mut View, what: &str, expected: impl Fn(&View) -> bool) {
-    let deadline = Instant::now() + LONG;
-    while !expected(view) {
-        assert!(Instant::now() < deadline, "{what} did not come: {:?} {:?}", view.known().mode, view.message);
-        session.next(Duration::from_millis(100)).iter().for_each(|news| view.take(news));
+/// A session, and what its news have shown.
+struct Watched {
+    session: Session,
+    reported: Reported,
+    breaths: usize,
+    samples: usize,
+    /// The last refusal or failure of a request.
+    refusal: Option<String>,
+}
+
+impl Watched {
+    /// Watches a device until its first poll has been answered.
+    fn start(device: Device) -> Self {
+        let session = Session::start(device);
+        let mut watched =
+            Self { session, reported: Reported::default(), breaths: 0, samples: 0, refusal: None };
+        watched.until("the first poll", |watched| watched.reported.times.is_some());
+        watched
+    }
+
+    /// Takes news until they have shown what is expected.
+    fn until(&mut self, what: &str, expected: impl Fn(&Self) -> bool) {
+        let deadline = Instant::now() + LONG;
+        while !expected(self) {
+            assert!(
+                Instant::now() < deadline,
+                "{what} did not come: {:?} {:?}",
+                self.reported.mode,
+                self.refusal
+            );
+            if let Some(news) = self.session.next(Duration::from_millis(100)) {
+                self.take(&news);
+            }
+        }
+    }
+
+    fn take(&mut self, news: &News) {
+        self.reported.take(news);
+        match news {
+            News::Event(Event::Telemetry(batch)) => self.samples += batch.samples.len(),
+            News::Event(Event::Breath(_)) => self.breaths += 1,
+            News::Answer { result: Err(reason), .. } => self.refusal = Some(reason.clone()),
+            _ => {}
+        }
+    }
+
+    /// The reason why a request is not carried out.
+    fn refused(&mut self, request: Request) -> String {
+        self.refusal = None;
+        self.session.ask(request);
+        self.until("a refusal", |watched| watched.refusal.is_some());
+        self.refusal.take().unwrap()
+    }
+
+    /// Sends settings, and starts as soon as the self-test has ended: a start does not wait for it.
+    fn start_ventilation(&mut self) {
+        self.session.ask(Request::ApplySettings(Settings::default()));
+        let deadline = Instant::now() + LONG;
+        while self.reported.mode != Some(Mode::Ventilating) {
+            assert!(Instant::now() < deadline, "it did not start: {:?}", self.refusal);
+            self.refusal = None;
+            self.session.ask(Request::Start);
+            self.until("an answer", |watched| {
+                watched.reported.mode == Some(Mode::Ventilating) || watched.refusal.is_some()
+            });
+        }
     }
 }
 
-fn press(session: &Session, view: &mut View, key: Key) {
-    session.ask(view.press(key).unwrap());
-}
-
-/// Presses start until the self-test has ended: a start does not wait for it, because it could act long after the key.
-fn start(session: &Session, view: &mut View) {
-    let deadline = Instant::now() + LONG;
-    while view.known().mode != Some(Mode::Ventilating) {
-        assert!(Instant::now() < deadline, "it did not start: {:?}", view.message);
-        view.message = None;
-        press(session, view, Key::StartStop);
-        watch(session, view, "an answer", |view| {
-            view.known().mode == Some(Mode::Ventilating) || matches!(view.message, Some(Notice::Warning(_)))
-        });
-    }
-}
-
-fn watched() -> (Socket, Simulated, TcpStream, Session, View) {
+fn watched() -> (Socket, Simulated, TcpStream, Watched) {
     let (socket, address) = Socket::new();
     let device = Device::connect(&address).unwrap();
     let (simulated, cable) = socket.plug_in();
-    let mut view = View::new(address.to_string(), KNOWN_GOOD);
-    let session = Session::start(device);
-    watch(&session, &mut view, "the first look", |view| view.known().times.is_some());
-    (socket, simulated, cable, session, view)
+    (socket, simulated, cable, Watched::start(device))
 }
 
 #[test]
 fn an_operator_starts_sets_and_stops_a_device() {
-    let (_socket, _simulated, _cable, session, mut view) = watched();
-    assert_eq!(view.known().mode, Some(Mode::Standby), "looking at a device does not start it");
-    press(&session, &mut view, Key::StartStop);
-    watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Notice::Warning(_))));
+    let (_socket, _simulated, _cable, mut watched) = watched();
+    assert_eq!(watched.reported.mode, Some(Mode::Standby), "watching a device does not start it");
+    let mut reason = watched.refused(Request::Start);
     // The device may still test itself; then this is its first reason.
-    while warning(&view).contains("self-test") {
-        view.message = None;
-        press(&session, &mut view, Key::StartStop);
-        watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Notice::Warning(_))));
+    while reason.contains("self-test") {
+        reason = watched.refused(Request::Start);
     }
-    assert!(warning(&view).contains("key c"), "{}", warning(&view));
-    press(&session, &mut view, Key::Confirm);
-    start(&session, &mut view);
-    watch(&session, &mut view, "breaths", |view| view.breaths.len() >= 2 && view.window.last().is_some());
-    assert_eq!(view.known().mode, Some(Mode::Ventilating));
-    press(&session, &mut view, Key::PipUp);
-    watch(&session, &mut view, "the new PIP", |view| {
-        view.known().in_force.is_some_and(|settings| (settings.pip - 21.0).abs() < 1e-6)
-            && view.known().pending.is_none()
+    assert!(reason.contains("no settings were sent"), "{reason}");
+    watched.start_ventilation();
+    watched.until("breaths", |watched| watched.breaths >= 2 && watched.samples > 0);
+    assert_eq!(watched.reported.mode, Some(Mode::Ventilating));
+    let settings = Settings { pip: 21.0, ..Settings::default() };
+    watched.session.ask(Request::ApplySettings(settings));
+    watched.until("the new PIP", |watched| {
+        watched.reported.in_force == Some(settings) && watched.reported.pending.is_none()
     });
-    press(&session, &mut view, Key::Controller);
-    watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Notice::Warning(_))));
-    assert!(warning(&view).contains("no valid weights"), "{}", warning(&view));
-    press(&session, &mut view, Key::StartStop);
-    watch(&session, &mut view, "standby", |view| view.known().mode == Some(Mode::Standby));
-    session.leave();
+    let reason = watched.refused(Request::SetController(ControllerChoice::Learned));
+    assert!(reason.contains("no valid weights"), "{reason}");
+    watched.session.ask(Request::Stop);
+    watched.until("standby", |watched| watched.reported.mode == Some(Mode::Standby));
+    watched.session.leave();
 }
 
 #[test]
@@ -115,18 +151,15 @@ fn samples_go_on_while_an_answer_is_awaited_that_the_line_has_lost() {
     let reader = Box::new(LossyReader { from: stream.try_clone().unwrap(), deaf: Arc::clone(&deaf) });
     let port = Port { reader, writer: Box::new(stream) };
     let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
-    let mut view = View::new(address.to_string(), KNOWN_GOOD);
-    let session = Session::start(device);
-    watch(&session, &mut view, "the first look", |view| view.known().times.is_some());
-    press(&session, &mut view, Key::Confirm);
-    start(&session, &mut view);
-    watch(&session, &mut view, "samples", |view| view.window.last().is_some());
+    let mut watched = Watched::start(device);
+    watched.start_ventilation();
+    watched.until("samples", |watched| watched.samples > 0);
     // From here on no request arrives. The session goes on asking for 6 s before it gives the line up.
     deaf.store(true, Ordering::Relaxed);
     let (mut samples, deadline) = (0, Instant::now() + LONG);
     loop {
         assert!(Instant::now() < deadline, "the line is not given up");
-        match session.next(Duration::from_millis(100)) {
+        match watched.session.next(Duration::from_millis(100)) {
             Some(News::Answer { result: Err(_), .. }) => break,
             Some(News::Event(Event::Telemetry(batch))) => samples += batch.samples.len(),
             // What was answered just before.
@@ -154,27 +187,21 @@ impl Read for LossyReader {
 }
 
 #[test]
-fn a_broken_line_is_told_and_opened_again_and_nothing_is_pushed() {
-    let (socket, simulated, cable, session, mut view) = watched();
-    press(&session, &mut view, Key::PipUp);
-    watch(&session, &mut view, "the answer", |view| view.known().pending.is_some());
+fn a_broken_line_is_reported_and_opened_again_and_nothing_is_pushed() {
+    let (socket, simulated, cable, mut watched) = watched();
+    watched.session.ask(Request::ApplySettings(Settings { pip: 21.0, ..Settings::default() }));
+    watched.until("the answer", |watched| watched.reported.pending.is_some());
     cable.shutdown(std::net::Shutdown::Both).unwrap();
     drop(simulated);
-    watch(&session, &mut view, "the loss", |view| view.known().lost.is_some());
-    session.ask(Request::Start);
-    watch(
-        &session,
-        &mut view,
-        "what was not sent",
-        |view| matches!(&view.message, Some(Notice::Warning(text)) if text.contains("nothing was sent")),
-    );
+    watched.until("the loss", |watched| watched.reported.lost.is_some());
+    assert!(watched.refused(Request::Start).contains("nothing was sent"));
     let (_another, _cable) = socket.plug_in();
-    watch(&session, &mut view, "the greeting", |view| {
-        view.known().lost.is_none() && view.known().in_force.is_some()
+    watched.until("the greeting", |watched| {
+        watched.reported.lost.is_none() && watched.reported.in_force.is_some()
     });
-    assert_eq!(view.known().pending, None);
-    assert_eq!(view.known().mode, Some(Mode::Standby), "the start from before never reached it");
-    assert_eq!(view.known().in_force, Some(&Settings::default()), "nor did the settings");
+    assert_eq!(watched.reported.pending, None);
+    assert_eq!(watched.reported.mode, Some(Mode::Standby), "the start from before never reached it");
+    assert_eq!(watched.reported.in_force, Some(Settings::default()), "nor did the settings");
 }
 
 #[test]
@@ -189,13 +216,10 @@ fn a_device_goes_on_ventilating_without_telemetry_when_its_monitor_leaves() {
     let port = Port { reader, writer: Box::new(master) };
     let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
 
-    let session = Session::start(Device::connect(&address).unwrap());
-    let mut view = View::new(address.to_string(), KNOWN_GOOD);
-    watch(&session, &mut view, "the first look", |view| view.known().times.is_some());
-    press(&session, &mut view, Key::Confirm);
-    start(&session, &mut view);
-    watch(&session, &mut view, "telemetry", |view| view.window.last().is_some());
-    session.leave();
+    let mut watched = Watched::start(Device::connect(&address).unwrap());
+    watched.start_ventilation();
+    watched.until("telemetry", |watched| watched.samples > 0);
+    watched.session.leave();
 
     let mut device = Device::connect(&address).unwrap();
     assert_eq!(device.identify().unwrap().mode, Mode::Ventilating);

@@ -55,7 +55,7 @@ fn what_did_not_change_is_not_written_again() {
 }
 
 #[test]
-fn a_breath_of_the_learned_controller_tells_how_many_it_remembers() {
+fn a_breath_of_the_learned_controller_says_how_many_it_remembers() {
     let learned = answer(Request::Identify, Response::Controller(ControllerChoice::Learned));
     let lines = written([learned, breath(7)]);
     assert_eq!(

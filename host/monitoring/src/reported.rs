@@ -1,4 +1,4 @@
-//! What is known about a device from its news.
+//! The state of a device, from its news.
 
 use shared::device::annunciator::AudioStatus;
 use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, Event, LeaseStatus, Response};
@@ -7,69 +7,34 @@ use shared::settings::Settings;
 use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 
-use crate::{LineCounters, News};
+use crate::News;
 
-/// What the device has reported, for other ways to show it; none of it before the first answers.
-#[derive(Clone, Copy, Debug)]
-pub struct Known<'a> {
+/// What a device has reported; none of it before the first answers.
+#[derive(Clone, Debug, Default)]
+pub struct Reported {
     /// Why the connection is lost, if it is.
-    pub lost: Option<&'a str>,
+    pub lost: Option<String>,
     /// The greeting.
-    pub identity: Option<&'a DeviceIdentity>,
+    pub identity: Option<DeviceIdentity>,
     /// The mode now.
     pub mode: Option<Mode>,
     /// The chosen controller.
     pub controller: Option<ControllerChoice>,
     /// Settings of the running breath.
-    pub in_force: Option<&'a Settings>,
+    pub in_force: Option<Settings>,
     /// Settings that wait for the next breath.
-    pub pending: Option<&'a Settings>,
+    pub pending: Option<Settings>,
     /// Statistics of the control ticks.
-    pub times: Option<&'a TickTimes>,
+    pub times: Option<TickTimes>,
     /// Alarms, and the level of the ladder.
-    pub status: Option<&'a AlarmStatus>,
+    pub status: Option<AlarmStatus>,
     /// State of the sounder.
     pub audio: Option<AudioStatus>,
     /// Who steers the device.
-    pub lease: Option<&'a LeaseStatus>,
-    /// Counters of the line.
-    pub traffic: LineCounters,
-}
-
-/// Collects what a device reports.
-#[derive(Clone, Debug, Default)]
-pub struct Reported {
-    lost: Option<String>,
-    identity: Option<DeviceIdentity>,
-    mode: Option<Mode>,
-    controller: Option<ControllerChoice>,
-    in_force: Option<Settings>,
-    pending: Option<Settings>,
-    times: Option<TickTimes>,
-    status: Option<AlarmStatus>,
-    audio: Option<AudioStatus>,
-    lease: Option<LeaseStatus>,
-    traffic: LineCounters,
+    pub lease: Option<LeaseStatus>,
 }
 
 impl Reported {
-    /// What the device has reported.
-    pub fn known(&self) -> Known<'_> {
-        Known {
-            lost: self.lost.as_deref(),
-            identity: self.identity.as_ref(),
-            mode: self.mode,
-            controller: self.controller,
-            in_force: self.in_force.as_ref(),
-            pending: self.pending.as_ref(),
-            times: self.times.as_ref(),
-            status: self.status.as_ref(),
-            audio: self.audio,
-            lease: self.lease.as_ref(),
-            traffic: self.traffic,
-        }
-    }
-
     /// Takes a piece of news.
     pub fn take(&mut self, news: &News) {
         match news {
@@ -79,12 +44,11 @@ impl Reported {
                 }
             }
             News::Answer { result: Ok(response), .. } => self.learn(response),
-            News::Traffic(traffic) => self.traffic = *traffic,
             News::Lost(reason) => {
                 self.forget_what_steers();
                 self.lost = Some(reason.clone());
             }
-            News::Event(_) | News::Answer { .. } => {}
+            News::Event(_) | News::Answer { .. } | News::Traffic(_) => {}
         }
     }
 

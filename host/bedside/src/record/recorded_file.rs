@@ -24,7 +24,7 @@ pub enum Stage {
 
 /// A file that is being written.
 #[derive(Clone, Debug)]
-pub struct Tape {
+pub struct RecordedFile {
     /// How far it is.
     pub stage: Stage,
     /// Its path.
@@ -40,7 +40,7 @@ pub struct Tape {
     unset: u64,
 }
 
-impl Tape {
+impl RecordedFile {
     /// A file that a page has started, or an event has triggered.
     pub fn new(path: PathBuf, by: &str) -> Self {
         let by = by.to_owned();
@@ -62,13 +62,13 @@ impl Tape {
 
     /// What is not in it, in words.
     pub fn gaps(&self) -> Vec<String> {
-        let told = [
+        let gaps = [
             (self.left_out, "left out", "with a value that is no number"),
             (self.unset, "left out", "before the device reported its settings"),
             (self.lost, "lost", "for which the disk was too slow"),
         ];
-        let told = told.into_iter().filter(|(count, ..)| *count > 0);
-        told.map(|(count, what, why)| format!("{what}: {count} samples {why}")).collect()
+        let gaps = gaps.into_iter().filter(|(count, ..)| *count > 0);
+        gaps.map(|(count, what, why)| format!("{what}: {count} samples {why}")).collect()
     }
 
     /// What is in it, in words.
