@@ -148,6 +148,7 @@ impl<'a> Moment<'a> {
     }
 
     /// The next tick.
+    #[must_use]
     pub fn next(&self) -> Self {
         self.breath.at(self.tick + 1)
     }

@@ -269,7 +269,7 @@ impl<'a> Server<'a> {
 
     /// Continues after [`NextStep::Store`] with the slot of the stored image and both slots' new state.
     pub fn stored(&mut self, slot: Result<Slot, StoreError>, slots: [SlotState; 2]) -> NextStep {
-        debug_assert!(self.continuation == Continuation::Commit);
+        debug_assert!(slot.is_err() || self.continuation == Continuation::Commit, "only a commit stores");
         self.facts.slots = slots;
         let id = self.committed;
         let refusal = |error| match error {

@@ -158,6 +158,7 @@ fn after_two_expirations_the_sensor_closer_to_peep_is_believed() {
 fn an_expiration_that_an_effort_ends_is_compared_before_the_effort() {
     let mut run = Run::new();
     for _ in 0..2 {
+        run.record(0, 5.0, 5.0);
         run.rest(2000..2100, 5.0, 10.0);
         run.rest(2100..2140, 4.5, 4.5);
         let wrong = run.source.compare(&mut run.state, PEEP, 0.0, true);
