@@ -52,6 +52,7 @@ impl Breath {
         let fall_ticks = math::ticks(settings.fall_time, period_us);
         let total_ticks = math::ticks(60.0 / settings.rate, period_us).max(inspiration_ticks + fall_ticks);
         let rise_ticks = math::ticks(settings.rise_time, period_us).min(inspiration_ticks);
+        debug_assert!(inspiration_ticks > 0 && inspiration_ticks + fall_ticks <= total_ticks);
         Ok(Self { settings: *settings, period_us, rise_ticks, inspiration_ticks, fall_ticks, total_ticks })
     }
 
@@ -80,6 +81,12 @@ impl Breath {
         self.total_ticks
     }
 
+    /// The moment at a tick, counted from the start of the breath.
+    #[inline]
+    pub fn at(&self, tick: u32) -> Moment<'_> {
+        Moment { breath: self, tick, phase: self.phase(tick) }
+    }
+
     /// Phase at a tick, counted from the start of the breath.
     pub fn phase(&self, tick: u32) -> Phase {
         if tick < self.inspiration_ticks {
@@ -105,6 +112,50 @@ impl Breath {
             }
             Phase::Expiration => peep,
         }
+    }
+}
+
+/// A tick of a breath; [`Breath::at`] gives it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moment<'a> {
+    /// The breath.
+    pub breath: &'a Breath,
+    /// Tick since its start.
+    pub tick: u32,
+    /// Its phase in that tick.
+    pub phase: Phase,
+}
+
+impl<'a> Moment<'a> {
+    /// Settings of the breath.
+    pub fn settings(&self) -> &'a Settings {
+        &self.breath.settings
+    }
+
+    /// Whether the inspiration runs.
+    pub fn inspires(&self) -> bool {
+        self.phase == Phase::Inspiration
+    }
+
+    /// Whether this is the last tick of the inspiration.
+    pub fn ends_inspiration(&self) -> bool {
+        self.tick + 1 == self.breath.inspiration_ticks
+    }
+
+    /// Ticks until the next breath is due, with this one; none in an expiration that lasts longer.
+    pub fn left(&self) -> u32 {
+        self.breath.total_ticks.saturating_sub(self.tick)
+    }
+
+    /// The next tick.
+    #[must_use]
+    pub fn next(&self) -> Self {
+        self.breath.at(self.tick + 1)
+    }
+
+    /// Target pressure, cmH2O.
+    pub fn target(&self) -> f32 {
+        self.breath.target(self.tick)
     }
 }
 

@@ -87,6 +87,7 @@ impl Exploration {
 
     /// Perturbation of the breath with this number.
     pub fn perturbation(&self, breath: &Breath, number: u32) -> Perturbation {
+        debug_assert!(self.validate().is_ok(), "parameters are validated where they arrive");
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(u64::from(number));
         let mut draw = |(low, high): Range| low + (high - low) * unit(rng.next_u32());
@@ -98,6 +99,7 @@ impl Exploration {
             let height = draw(self.triangle_height);
             let duration = draw(self.triangle_duration).min(inspiration);
             let start = draw((0.0, inspiration - duration));
+            debug_assert!(start >= 0.0 && duration > 0.0, "a triangle lies within the inspiration");
             Perturbation { height, start, peak: start + 0.5 * duration, end: start + duration }
         }
     }

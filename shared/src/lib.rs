@@ -6,6 +6,10 @@
 //! and every test run the same code and get the same bits. The platform's float library is never called: [`math`]
 //! defines the functions that the crate needs.
 //!
+//! Every state machine asserts its invariants with `debug_assert!`: no input may violate them. Tests, fuzz targets
+//! and debug builds run with them. The profiles `release`, `chip`, `wheel` and `web` compile them out: nothing may
+//! panic on the chip, and a tick there has a budget.
+//!
 //! Names and documentation give the units: pressure in cmH2O, time in seconds or in ticks of the control period,
 //! valve commands in percent of full opening (0..=100).
 #![no_std]

@@ -139,6 +139,8 @@ impl Sum {
         self.total += u64::from(cycles);
         self.shortest = self.shortest.min(cycles);
         self.longest = self.longest.max(cycles);
+        debug_assert!(self.count > 0);
+        debug_assert!(self.shortest <= self.longest);
     }
 
     fn span(self) -> CycleStats {

@@ -5,7 +5,7 @@
 //! trends of their own, and sensors have offsets. So the mean over the latest 10 ms is compared with a line through the
 //! means before it. A passive lung empties ever more slowly, and leaves that line on the other side.
 
-use crate::breath::{Breath, Phase};
+use crate::breath::Moment;
 use crate::math;
 use crate::safety::monitors::ticks;
 
@@ -103,22 +103,15 @@ impl Trigger {
     /// Whether the patient starts to inhale in this tick of a breath, after the inspiration. `pressure` is a reliable
     /// reading, cmH2O, and `flow` that of the flow sensor towards the patient, L/s; NaN where there is none.
     #[inline]
-    pub fn check(
-        &self,
-        state: &mut TriggerState,
-        breath: &Breath,
-        tick: u32,
-        pressure: f32,
-        flow: f32,
-    ) -> bool {
-        if breath.phase(tick) == Phase::Inspiration {
-            if tick == 0 {
+    pub fn check(&self, state: &mut TriggerState, moment: &Moment, pressure: f32, flow: f32) -> bool {
+        if moment.inspires() {
+            if moment.tick == 0 {
                 state.pressure.restart();
                 state.flow.restart();
             }
             return false;
         }
-        let settings = breath.settings();
+        let settings = moment.settings();
         let by_pressure = self.follow(&mut state.pressure, -pressure, settings.trigger_pressure);
         let by_flow = self.follow(&mut state.flow, flow, settings.trigger_flow * PER_MINUTE);
         by_pressure || by_flow
@@ -135,6 +128,7 @@ impl Trigger {
         }
         signal.sum += value;
         signal.count += 1;
+        debug_assert!(signal.count <= self.block, "a block ends after its length");
         if signal.count < self.block {
             return false;
         }
@@ -144,6 +138,7 @@ impl Trigger {
         let bound = sensitivity.max(self.noises * signal.noise);
         signal.on_line |= deviation < ON_LINE * bound;
         let rise = signal.mean(0) - signal.mean(GAP);
+        debug_assert!(signal.blocks > OPENING + GAP + LINE.0, "no line without its blocks");
         signal.on_line && deviation > bound && rise > RISE * bound
     }
 }
@@ -151,7 +146,7 @@ impl Trigger {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use crate::breath::{Breath, DEFAULT_PERIOD_US, Phase, paper_settings};
     use crate::settings::Settings;
     use proptest::prelude::*;
 
@@ -171,7 +166,7 @@ mod tests {
         let (trigger, mut state) = (Trigger::new(DEFAULT_PERIOD_US), TriggerState::default());
         (0..breath.total_ticks()).find(|tick| {
             let (pressure, flow) = signals(*tick);
-            trigger.check(&mut state, breath, *tick, pressure, flow)
+            trigger.check(&mut state, &breath.at(*tick), pressure, flow)
         })
     }
 
@@ -346,7 +341,8 @@ mod tests {
             let mut state = TriggerState::default();
             for tick in 0..20 * breath.total_ticks() {
                 let (pressure, flow) = (PEEP + noise(tick, 0.2), noise(tick + 7, 0.01));
-                let found = trigger.check(&mut state, &breath, tick % breath.total_ticks(), pressure, flow);
+                let found =
+                    trigger.check(&mut state, &breath.at(tick % breath.total_ticks()), pressure, flow);
                 assert!(!found, "{period_us} us, tick {tick}");
             }
         }
@@ -374,7 +370,7 @@ mod tests {
         let (trigger, breath) = (Trigger::new(DEFAULT_PERIOD_US), breath(0.4, 0.6));
         let mut state = TriggerState::default();
         let mut breathe = |pressure: f32| {
-            (0..breath.total_ticks()).any(|tick| trigger.check(&mut state, &breath, tick, pressure, 0.0))
+            (0..breath.total_ticks()).any(|tick| trigger.check(&mut state, &breath.at(tick), pressure, 0.0))
         };
         assert!(!breathe(20.0) && !breathe(PEEP), "a new PEEP is no effort");
         for signal in [state.pressure, state.flow] {
@@ -393,7 +389,7 @@ mod tests {
             let breath = Breath::new(&settings, period_us).unwrap();
             for tick in 0..breath.total_ticks().min(5000) {
                 let (pressure, flow) = readings[tick as usize % readings.len()];
-                let found = trigger.check(&mut state, &breath, tick, pressure, flow);
+                let found = trigger.check(&mut state, &breath.at(tick), pressure, flow);
                 prop_assert!(!found || breath.phase(tick) != Phase::Inspiration);
             }
         }

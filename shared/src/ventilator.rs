@@ -12,13 +12,14 @@
 //! inspiratory valve is closed (fall) or at its bias (expiration), which rises if a leak lets the pressure fall below PEEP.
 //!
 //! # Order of a tick
-//! The supervisor checks the readings -> controller -> exploration -> safety filter -> the controller records the applied
-//! command. Any [`ControlLaw`] can be the controller; order and safety are the same for all. Down the ladder of trust a PID
+//! The supervisor checks the readings -> controller -> exploration -> safety filter -> the controller records the
+//! applied command. What the checks allow the tick is one [`Belief`], which the safety filter takes back. Any
+//! [`ControlLaw`] can be the controller; order and safety are the same for all. Down the ladder of trust a PID
 //! of the ventilator's own or backup ventilation commands in its place.
 
 use serde::{Deserialize, Serialize};
 
-use crate::breath::{Breath, Phase};
+use crate::breath::{Breath, Moment, Phase};
 use crate::control::memory::Lesson;
 use crate::control::pid::{Pid, PidState};
 use crate::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
@@ -78,14 +79,14 @@ pub const fn opening(u_out: bool) -> f32 {
 }
 
 /// What commands a tick, before the safety filter.
-struct Wanted {
+struct Command {
     output: ControlOutput,
     /// Parts of it as in [`Sample`], percent.
     explore: f32,
     learned: f32,
 }
 
-impl Wanted {
+impl Command {
     /// A command without a learned part and a perturbation, percent.
     const fn plain(command: f32) -> Self {
         Self { output: ControlOutput::plain(command), explore: 0.0, learned: 0.0 }
@@ -132,8 +133,6 @@ pub struct VentilatorState<S = ControllerState> {
     spare: PidState,
     supervisor: SupervisorState,
     trigger: TriggerState,
-    /// Whether an effort has started the running breath.
-    triggered: bool,
     /// Whether something has disturbed the running inspiration; none outside one.
     disturbed: Option<bool>,
     /// What the controller last learned.
@@ -215,7 +214,6 @@ impl<C: ControlLaw> Ventilator<C> {
             spare: PidState::new(),
             supervisor: SupervisorState::default(),
             trigger: TriggerState::default(),
-            triggered: false,
             disturbed: None,
             lesson: Lesson::Forget,
         }
@@ -243,91 +241,95 @@ impl<C: ControlLaw> Ventilator<C> {
 
     /// Raises an alarm that another part of the device has found.
     pub fn raise(&self, state: &mut VentilatorState<C::State>, fault: Fault) {
-        self.supervisor.raise(&mut state.supervisor, fault);
+        self.supervisor.report(&mut state.supervisor, fault);
     }
 
     /// Runs one control tick with the sensors' readings; a pressure alone is that of the airway sensor, cmH2O.
     #[inline]
     pub fn step(&self, state: &mut VentilatorState<C::State>, readings: impl Into<Readings>) -> Output {
         let readings = readings.into();
-        let tick = if state.mode == Mode::Ventilating {
-            if state.tick == 0 {
-                self.start_breath(state);
-            }
-            Some(state.tick)
+        let ventilates = state.mode == Mode::Ventilating;
+        if ventilates && state.tick == 0 {
+            self.start_breath(state);
+        }
+        let breath = state.breath;
+        let belief = if ventilates {
+            self.supervisor.check(&mut state.supervisor, &readings, breath.at(state.tick))
         } else {
+            self.supervisor.watch(&mut state.supervisor, &readings, &breath);
             None
         };
-        let belief = self.supervisor.check(&mut state.supervisor, &readings, &state.breath, tick);
         if let Some(fault) = state.supervisor.fault() {
             state.mode = Mode::Fault(fault);
         }
-        let pressure = match (state.mode, belief) {
-            (Mode::Ventilating, Belief::Pressure(pressure)) => pressure,
-            // No controller sees it: backup ventilation commands.
-            (Mode::Ventilating, Belief::Lost) => state.breath.settings().peep,
-            (mode, _) => {
-                state.last_command = 0.0;
-                let command = self.supervisor.rest(&mut state.supervisor);
-                return Output { command, mode, sample: None, alarm: state.supervisor.take_begun() };
-            }
+        let (command, sample) = match belief {
+            Some(belief) => self.breathe(state, &belief, &readings),
+            None => (self.rest(state), None),
         };
-        let seen = state.supervisor.pressure_of_effort(pressure);
-        let effort = self.trigger.check(&mut state.trigger, &state.breath, state.tick, seen, readings.flow);
-        let mut output = self.breathe(state, &readings, pressure);
-        self.end_tick(state, effort);
-        output.alarm = state.supervisor.take_begun();
-        output
+        debug_assert!(belief.is_some() || command == ValveCommand::SAFE, "no breath, no gas");
+        debug_assert!(
+            belief.is_none() || state.mode == Mode::Ventilating,
+            "a latched fault ends the breaths"
+        );
+        Output { command, mode: state.mode, sample, alarm: state.supervisor.take_begun() }
     }
 
-    /// Runs one tick of a breath; `pressure` is the reading, or for a few milliseconds the last good one.
-    fn breathe(&self, state: &mut VentilatorState<C::State>, readings: &Readings, pressure: f32) -> Output {
-        let (tick, breath) = (state.tick, state.breath);
-        let reading = state.supervisor.reading(readings, pressure);
-        let settings = breath.settings();
-        let (phase, target) = match breath.phase(tick) {
+    /// The safe command, for a tick without a breath.
+    fn rest(&self, state: &mut VentilatorState<C::State>) -> ValveCommand {
+        state.last_command = 0.0;
+        self.supervisor.rest(&mut state.supervisor)
+    }
+
+    /// Runs one tick of a breath.
+    fn breathe(
+        &self,
+        state: &mut VentilatorState<C::State>,
+        belief: &Belief,
+        readings: &Readings,
+    ) -> (ValveCommand, Option<Sample>) {
+        let moment = &belief.moment;
+        let settings = moment.settings();
+        let effort = self.trigger.check(&mut state.trigger, moment, belief.effort, readings.flow);
+        let (phase, target) = match moment.phase {
             // An inspiration that has reached the pressure limit has ended.
-            Phase::Inspiration if state.supervisor.cut() => (Phase::Fall, settings.peep),
-            Phase::Inspiration => {
-                (Phase::Inspiration, breath.target(tick) + state.supervisor.pip_shift(&breath))
-            }
-            phase => (phase, breath.target(tick)),
+            Phase::Inspiration if belief.cut => (Phase::Fall, settings.peep),
+            Phase::Inspiration => (Phase::Inspiration, moment.target() + belief.pip_shift),
+            phase => (phase, moment.target()),
         };
-        let Wanted { output, explore, learned } = match phase {
-            Phase::Inspiration => self.inspire(state, pressure, target),
-            Phase::Fall => Wanted::plain(state.supervisor.leak_compensation()),
-            Phase::Expiration => {
-                Wanted::plain(settings.expiratory_bias + state.supervisor.leak_compensation())
-            }
+        let Command { output, explore, learned } = match phase {
+            Phase::Inspiration => self.inspire(state, belief, target),
+            Phase::Fall => Command::plain(belief.compensation),
+            Phase::Expiration => Command::plain(settings.expiratory_bias + belief.compensation),
         };
-        let command = self.supervisor.command(&mut state.supervisor, output, phase != Phase::Inspiration);
-        self.learn(state, phase, explore);
+        let u_out = phase != Phase::Inspiration;
+        let command = self.supervisor.command(&mut state.supervisor, belief, output, u_out);
+        debug_assert!(command.u_out() == u_out, "the valves follow the phase");
+        self.learn(state, belief, phase, explore);
         if phase == Phase::Inspiration {
             self.controller.applied(&mut state.controller, command.u_in());
-            self.supervisor.record(&mut state.supervisor, &breath, tick);
         }
         state.last_command = command.u_in();
         let sample = Sample {
             breath: state.number,
-            tick,
+            tick: moment.tick,
             phase,
             target,
-            pressure: reading,
+            pressure: belief.reading,
             u_in: command.u_in(),
             u_out: command.u_out(),
             explore,
             learned,
             flow: (!readings.flow.is_nan()).then_some(readings.flow),
         };
-        Output { command, mode: state.mode, sample: Some(sample), alarm: None }
+        self.end_tick(state, moment, effort);
+        (command, Some(sample))
     }
 
     /// Notes what disturbs an inspiration. The controller learns in the first tick after it, in which no controller computes a command.
-    fn learn(&self, state: &mut VentilatorState<C::State>, phase: Phase, explore: f32) {
+    fn learn(&self, state: &mut VentilatorState<C::State>, belief: &Belief, phase: Phase, explore: f32) {
         let Some(disturbed) = state.disturbed else { return };
-        let level = self.supervisor.level(&state.supervisor);
-        let sound = level == Level::Learned && state.supervisor.indications().present().is_empty();
-        let disturbed = disturbed || !sound || state.supervisor.cut() || !(explore == 0.0);
+        let sound = belief.level == Level::Learned && state.supervisor.indications().present().is_empty();
+        let disturbed = disturbed || !sound || belief.cut || !(explore == 0.0);
         state.disturbed = Some(disturbed);
         if phase != Phase::Inspiration {
             let lesson = if disturbed { Lesson::Discard } else { Lesson::Adopt };
@@ -336,40 +338,36 @@ impl<C: ControlLaw> Ventilator<C> {
         }
     }
 
-    /// Ends a tick of a breath: the next one starts a breath if it is due or the patient inhales.
-    fn end_tick(&self, state: &mut VentilatorState<C::State>, effort: bool) {
+    /// Ends a tick of a breath.
+    fn end_tick(&self, state: &mut VentilatorState<C::State>, moment: &Moment, effort: bool) {
         let effort = effort && state.number >= FIRST_BREATHS;
-        if effort {
-            self.supervisor.triggered(&mut state.supervisor, &state.breath, state.tick);
-        }
         state.tick += 1;
-        let due = state.tick >= state.breath.total_ticks()
-            && !self.supervisor.expiration_goes_on(&state.supervisor, &state.breath, state.tick);
-        if effort || due {
-            (state.tick, state.triggered) = (0, effort);
+        if self.supervisor.end_tick(&mut state.supervisor, moment, effort) {
+            state.tick = 0;
             state.number = state.number.wrapping_add(1);
         }
     }
 
     /// The output of the level of the ladder that commands an inspiration.
-    fn inspire(&self, state: &mut VentilatorState<C::State>, pressure: f32, target: f32) -> Wanted {
-        let (tick, breath) = (state.tick, state.breath);
-        let pip = breath.settings().pip + state.supervisor.pip_shift(&breath);
-        let seen = Observation { pressure, target, pip, peep: breath.settings().peep, tick };
+    fn inspire(&self, state: &mut VentilatorState<C::State>, belief: &Belief, target: f32) -> Command {
+        let Belief { moment, pressure, pip_shift, .. } = *belief;
+        let settings = moment.settings();
+        let (pip, peep, tick) = (settings.pip + pip_shift, settings.peep, moment.tick);
+        let seen = Observation { pressure, target, pip, peep, tick };
         // In every tick, so that it has no start of its own when its turn comes.
         let spare = self.spare.step(&mut state.spare, &seen, 0.0);
-        match self.supervisor.level(&state.supervisor) {
-            Level::Backup => Wanted::plain(self.supervisor.backup_command(&state.supervisor, &breath, tick)),
-            Level::CappedPid => Wanted::plain(spare.base),
+        match belief.level {
+            Level::Backup => Command::plain(belief.backup),
+            Level::CappedPid => Command::plain(spare.base),
             // The supervisor applies the base alone.
             Level::Pid => {
                 let output = self.controller.step(&mut state.controller, &seen);
-                Wanted { output, explore: 0.0, learned: 0.0 }
+                Command { output, explore: 0.0, learned: 0.0 }
             }
             Level::Learned => {
                 let explore = state.perturbation.at(tick, self.period_us);
                 let output = self.controller.step(&mut state.controller, &seen);
-                Wanted { output: output.plus(explore), explore, learned: output.command - output.base }
+                Command { output: output.plus(explore), explore, learned: output.command - output.base }
             }
         }
     }
@@ -384,7 +382,7 @@ impl<C: ControlLaw> Ventilator<C> {
         if forgets {
             state.lesson = self.controller.learn(&mut state.controller, Lesson::Forget);
         }
-        state.disturbed = Some(state.triggered);
+        state.disturbed = Some(state.supervisor.triggered());
         state.perturbation = match &self.exploration {
             Some(exploration) => exploration.perturbation(&state.breath, state.number),
             None => Perturbation::default(),
@@ -427,7 +425,7 @@ impl<S> VentilatorState<S> {
 
     /// Whether an effort of the patient has started the running breath, or at tick 0 the next one.
     pub fn triggered(&self) -> bool {
-        self.triggered
+        self.supervisor.triggered()
     }
 
     /// What the controller learned from the last inspiration that has ended, or that it has forgotten all.
@@ -449,7 +447,7 @@ impl<S> VentilatorState<S> {
     pub fn start(&mut self) {
         if self.mode == Mode::Standby {
             self.supervisor.begin();
-            (self.mode, self.number, self.tick, self.triggered) = (Mode::Ventilating, 0, 0, false);
+            (self.mode, self.number, self.tick) = (Mode::Ventilating, 0, 0);
         }
     }
 

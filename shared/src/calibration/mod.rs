@@ -184,6 +184,8 @@ impl SensorCorrection {
     /// hide it from [`crate::safety::reading_monitor`].
     #[inline]
     pub fn corrected(&self, reading: f32) -> f32 {
+        debug_assert!(self.gain > 0.0, "validated");
+        debug_assert!(self.zero.is_finite(), "validated");
         let (lowest, highest) = SENSOR_RANGE;
         if reading >= lowest && reading <= highest { (reading - self.zero) / self.gain } else { reading }
     }

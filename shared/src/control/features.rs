@@ -160,6 +160,7 @@ impl History {
     }
 
     fn ago(&self, at: u32, tap: u8) -> f32 {
+        debug_assert!(tap <= TAP_MAX, "validated");
         self.ring[at.wrapping_sub(u32::from(tap)) as usize % HISTORY]
     }
 }

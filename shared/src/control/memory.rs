@@ -124,6 +124,7 @@ impl BreathMemory {
             Lesson::Discard => {}
             Lesson::Forget => (self.adopted, self.profiles[usize::from(self.second)].filled) = (0, 0),
         }
+        debug_assert!(self.adopted <= LEARNING && filled <= BINS);
         self.profiles[usize::from(!self.second)].filled = 0;
         (self.sums, self.ticks, self.difference, self.finite) = ([0.0; 2], 0, 0.0, true);
         learned
@@ -144,6 +145,7 @@ impl BreathMemory {
             self.fill(self.sums.map(|sum| share * sum));
             (self.sums, self.ticks) = ([0.0; 2], 0);
         }
+        debug_assert!(self.ticks < bin_ticks, "a full bin is closed");
     }
 
     /// Adds a bin to the profile of the running breath.

@@ -146,10 +146,10 @@ impl Pid {
             state.integral =
                 math::limit(state.integral + self.integral_step * error, -COMMAND_MAX, COMMAND_MAX);
         }
-        ControlOutput {
-            base: math::limit(base, 0.0, COMMAND_MAX),
-            command: math::limit(wanted, 0.0, COMMAND_MAX),
-        }
+        let [base, command] = [base, wanted].map(|part| math::limit(part, 0.0, COMMAND_MAX));
+        debug_assert!(!state.integral.is_nan(), "an integral that is no number would stay so");
+        debug_assert!(command >= base || extra < 0.0 || extra.is_nan(), "a residual acts in its direction");
+        ControlOutput { base, command }
     }
 }
 

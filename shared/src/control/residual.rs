@@ -154,7 +154,10 @@ impl Residual {
 
     /// Converts a network output to a residual in percent: scaled by lambda, limited to the authority.
     pub fn correction(&self, output: f32) -> f32 {
-        math::limit(self.spec.lambda * COMMAND_MAX * output, -self.spec.authority, self.spec.authority)
+        let residual =
+            math::limit(self.spec.lambda * COMMAND_MAX * output, -self.spec.authority, self.spec.authority);
+        debug_assert!(residual.abs() <= self.spec.authority);
+        residual
     }
 }
 

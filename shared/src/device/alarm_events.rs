@@ -57,6 +57,8 @@ impl AlarmEvents {
         if self.left == 0 {
             (self.due, self.left) = (unacknowledged, self.repeat_ticks);
         }
+        debug_assert!((1..=self.repeat_ticks).contains(&self.left));
+        debug_assert!(self.due.bits() & !unacknowledged.bits() == 0, "what is acknowledged is not repeated");
     }
 
     /// Reports one alarm, if there is one, through `room`, which returns false if it has no room for a report.

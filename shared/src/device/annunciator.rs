@@ -179,6 +179,8 @@ impl Annunciator {
         let lamp = self.lamp.step(shown, self.period_us, lit);
         let red = lamp && shown == Some(Priority::High);
         self.signals = Signals { sounder, red, yellow: lamp && !red };
+        debug_assert!(!sounder || !unacknowledged.is_empty(), "silent once all is acknowledged");
+        debug_assert!(self.pause <= u32::from(AUDIO_PAUSE_MAX) * SECOND);
     }
 
     /// Ends the audio pause if an urgent alarm has begun, or if nothing is left to pause.

@@ -20,10 +20,11 @@ use crate::explore::Exploration;
 use crate::link::messages::{AlarmStatus, ControllerChoice, DeviceKind, Response};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{BreathMeter, Counters, Findings};
-use crate::recorder::Moment;
+use crate::recorder::RecorderInput;
 use crate::recorder::keeper::Leave;
 use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
+use crate::safety::filter::TEST_MAX;
 use crate::safety::host::HostWatch;
 use crate::safety::monitors::Monitors;
 use crate::safety::responses;
@@ -239,6 +240,10 @@ impl Control {
             let alarm = output.alarm.is_some() || output.mode != Mode::Standby;
             let command = self.self_test.step(&readings, self.state.breath().settings(), alarm);
             output.command = command.unwrap_or(output.command);
+            debug_assert!(
+                output.command.u_in() <= TEST_MAX,
+                "only the self-test lets gas in without a breath"
+            );
         }
         self.annunciator.step(self.state.indications());
         output
@@ -288,6 +293,8 @@ impl Control {
     /// running breath, and where the ticks have no time for the copy. Not inlined, so that the stack holds no copy of its own.
     #[inline(never)]
     fn change_controller(&mut self) {
+        let lacks = matches!(self.next_controller, Some(NextController::Learned)) && self.learned.is_none();
+        debug_assert!(!lacks, "the weights stay from the request on");
         match (self.next_controller.take(), &self.learned) {
             (Some(NextController::Pid(pid)), _) => self.ventilator.set_controller(Controller::Pid(pid)),
             // Copied directly to its destination: each further move would take as long as running the network.
@@ -348,10 +355,10 @@ impl Control {
 
     /// The flight recorder's input for a step: the airway sensor's reading, output, and the ticks missed before it.
     #[inline]
-    pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> Moment<'a> {
+    pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> RecorderInput<'a> {
         let learned = self.status.controller == ControllerChoice::Learned;
         let reading = self.corrected(reading.into()).airway;
-        Moment {
+        RecorderInput {
             reading,
             output,
             settings: self.state.breath().settings(),

@@ -81,6 +81,7 @@ impl Lease {
             Err(held @ Refusal::Lease { .. }) if !take_over => return Err(held),
             _ => self.holder = Some(Holder { token, name, heard: tick }),
         }
+        debug_assert!(self.permits(host).is_ok());
         Ok(self.status(host))
     }
 
@@ -89,6 +90,7 @@ impl Lease {
         if self.permits(host).is_ok() {
             self.holder = None;
         }
+        debug_assert!(self.permits(host).is_err());
         self.status(host)
     }
 }

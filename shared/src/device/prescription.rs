@@ -281,6 +281,8 @@ impl<'a> Prescription<'a> {
     /// after ventilation. Call it in every tick before a request is executed, so that a stop is kept before any restart.
     #[inline]
     pub fn keep(&mut self, control: &Control, output: &Output) {
+        debug_assert!(self.due.is_none() || self.due == self.kept, "what is due is kept");
+        debug_assert!(self.due.is_none() || self.refused.is_none());
         match &output.sample {
             // Who starts it does not wait for it to resume.
             Some(sample) if sample.tick == 0 => self.due = None,

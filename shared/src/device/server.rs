@@ -269,6 +269,7 @@ impl<'a> Server<'a> {
 
     /// Continues after [`NextStep::Store`] with the slot of the stored image and both slots' new state.
     pub fn stored(&mut self, slot: Result<Slot, StoreError>, slots: [SlotState; 2]) -> NextStep {
+        debug_assert!(slot.is_err() || self.continuation == Continuation::Commit, "only a commit stores");
         self.facts.slots = slots;
         let id = self.committed;
         let refusal = |error| match error {
@@ -284,6 +285,7 @@ impl<'a> Server<'a> {
         calibration: &Calibration,
         stored: Result<u16, Refusal>,
     ) -> NextStep {
+        debug_assert!(self.continuation == Continuation::StoreCalibration(*calibration));
         let correction = SensorCorrection::new(calibration).map_err(Refusal::from);
         match stored.and_then(|stored| Ok((stored, correction?))) {
             Ok((stored, correction)) => {

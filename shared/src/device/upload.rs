@@ -58,6 +58,7 @@ impl Upload {
         }
         place.copy_from_slice(chunk);
         self.received = end;
+        debug_assert!(self.received <= IMAGE_BYTES);
         Ok(end as u32)
     }
 
@@ -73,6 +74,7 @@ impl Upload {
             let expected = self.received as u32;
             return Err(Refusal::WrongOffset { expected });
         }
+        debug_assert!(self.received == IMAGE_BYTES);
         self.announced = None;
         let image = decode_trusted(&self.bytes, trust).map_err(|error| match error.into() {
             ImageProblem::Unsigned => Refusal::Unsigned,

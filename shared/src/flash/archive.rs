@@ -151,6 +151,8 @@ impl<const WORDS: usize> Archive<WORDS> {
         let Some(written) = self.written.take() else { return Ok(false) };
         self.erased = false;
         let (place, generation) = self.next();
+        debug_assert!(written <= Self::UNITS);
+        debug_assert!(self.newest.is_none_or(|(newest, _)| newest != place), "the newest copy stays");
         let start = self.starts[place % 2];
         if written < Self::UNITS {
             let end = (written + STEP_UNITS).min(Self::UNITS);

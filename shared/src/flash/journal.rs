@@ -120,10 +120,12 @@ impl<const PAYLOAD: usize> Journal<PAYLOAD> {
             self.erase(flash)?;
         }
         let place = self.next;
+        debug_assert!(place > 0 && place < self.places, "neither the mark nor beyond the region");
         // A place whose store fails is not used again.
         self.next += 1;
         write(flash, self.address(place), &Self::encoded(sequence, payload))?;
         self.note(sequence);
+        debug_assert!(self.newest == Some(sequence));
         Ok(())
     }
 

@@ -174,6 +174,7 @@ impl<const N: usize> FrameDecoder<N> {
     }
 
     fn take(&mut self, byte: u8) {
+        debug_assert!(byte != DELIMITER && self.state.length <= N);
         self.state.started = true;
         if self.state.block > 0 {
             self.state.block -= 1;
@@ -206,6 +207,7 @@ impl<const N: usize> Default for FrameDecoder<N> {
 
 impl DecoderState {
     fn finish(self, buffer: &[u8]) -> Result<&[u8], Corrupt> {
+        debug_assert!(self.started && (!self.overlong || self.length == buffer.len()));
         if self.overlong {
             Err(Corrupt::Overlong)
         } else if self.block > 0 {

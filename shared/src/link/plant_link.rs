@@ -149,9 +149,11 @@ impl PlantDecoder {
             self.filled -= 1;
             self.skipped = self.skipped.wrapping_add(1);
         }
+        debug_assert!(self.filled < FRAME_BYTES);
         self.window.copy_within(1.., 0);
         self.window[FRAME_BYTES - 1] = byte;
         self.filled += 1;
+        debug_assert!((1..=FRAME_BYTES).contains(&self.filled));
         if self.filled < FRAME_BYTES || self.window[0] != START {
             return None;
         }

@@ -91,6 +91,8 @@ impl Batcher {
         if self.samples.is_empty() {
             self.first_tick = tick;
         }
+        debug_assert!(self.first_tick.wrapping_add(self.samples.len() as u64) == tick, "ticks in a row");
+        debug_assert!(!self.samples.is_full());
         // There is room: a batch is closed as soon as it is full.
         let _ = self.samples.push(PackedSample::pack(sample));
         if self.samples.is_full() {

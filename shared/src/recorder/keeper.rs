@@ -79,6 +79,7 @@ impl Keeper {
             return false;
         }
         if self.archive.is_running() {
+            debug_assert!(end.is_some() && end == self.pending);
             match self.archive.step(flash, |index| memory.word(index)) {
                 Ok(false) => {}
                 Ok(true) => (self.kept, self.superseded) = (self.pending, true),
@@ -101,6 +102,7 @@ impl Keeper {
 
     /// Erases the slot of the next copy, which stalls the core for seconds.
     pub fn erase<F: NorFlash>(&mut self, flash: &mut F) {
+        debug_assert!(!self.archive.is_running(), "no copy is erased while it is written");
         self.superseded = false;
         if self.archive.erase(flash).is_err() {
             // Once per end of a ventilation: a worn flash must not stall the chip again and again.

@@ -116,6 +116,7 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
                 half.store(value);
             }
         }
+        debug_assert!(self.is_sound(), "formatted before the first entry");
         if next + 1 < Self::LIMIT {
             self.next.store(next + 1);
         } else {
@@ -130,6 +131,7 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         self.start.store(self.start.load().saturating_sub(step));
         self.origin.store(self.origin.load().wrapping_add(stride.wrapping_mul(step)));
         self.next.store(SLOTS as u32);
+        debug_assert!(self.is_sound(), "entries keep their order");
     }
 
     /// The visible entries.

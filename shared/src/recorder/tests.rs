@@ -44,7 +44,7 @@ fn tick(recorder: &mut Recorder, mode: Mode, reading: f32) {
     let sample = (mode == Mode::Ventilating).then(|| sample(3, 5));
     let output = Output { command: ValveCommand::SAFE, mode, sample, alarm: None };
     let settings = Settings::default();
-    recorder.record(&Moment {
+    recorder.record(&RecorderInput {
         reading,
         output: &output,
         settings: &settings,
@@ -315,7 +315,7 @@ fn an_alarm_that_does_not_end_ventilation_is_logged_and_recording_goes_on() {
     let latched = told(Mode::Fault(Fault::HardLimit), Fault::HardLimit);
     let settings = Settings::default();
     for output in [&distrusted, &latched] {
-        recorder.record(&Moment {
+        recorder.record(&RecorderInput {
             reading: 5.0,
             output,
             settings: &settings,

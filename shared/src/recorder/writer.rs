@@ -25,7 +25,7 @@ pub struct Boot {
 
 /// Input of the recorder in a control tick.
 #[derive(Clone, Copy, Debug)]
-pub struct Moment<'a> {
+pub struct RecorderInput<'a> {
     /// Pressure as read, cmH2O.
     pub reading: f32,
     /// Output of the tick.
@@ -142,7 +142,7 @@ impl<'a> Recorder<'a> {
 
     /// Records a tick, after all its other work.
     #[inline]
-    pub fn record(&mut self, moment: &Moment) {
+    pub fn record(&mut self, moment: &RecorderInput) {
         if self.memory.clear.load() == CLEAR {
             self.clear();
         }
@@ -167,7 +167,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// Records a tick in the fast ring and every 20th tick in the slow ring.
-    fn record_tick(&mut self, moment: &Moment) {
+    fn record_tick(&mut self, moment: &RecorderInput) {
         let mut entry = entry(moment);
         if self.fast_left > 0 {
             self.memory.fast.push(entry.pack(), 1);
@@ -185,6 +185,8 @@ impl<'a> Recorder<'a> {
             self.fast_left = self.fast_left.saturating_sub(1);
             self.slow_left -= 1;
         }
+        debug_assert!(self.fast_left <= self.slow_left, "the slow ring records for longer");
+        debug_assert!((1..=SLOW_STRIDE).contains(&self.until_slow));
     }
 
     /// Handles a change of mode.
@@ -230,7 +232,7 @@ impl<'a> Recorder<'a> {
     }
 
     /// Logs changes that take effect with a breath.
-    fn log_changes(&mut self, moment: &Moment) {
+    fn log_changes(&mut self, moment: &RecorderInput) {
         if self.missed_logged.is_due(self.missed, self.now) {
             self.enter(Happening::Missed { ticks: self.missed });
         }
@@ -268,7 +270,7 @@ impl<'a> Recorder<'a> {
     }
 }
 
-fn entry(moment: &Moment) -> TickEntry {
+fn entry(moment: &RecorderInput) -> TickEntry {
     let Output { command, mode, sample, .. } = moment.output;
     let activity = match mode {
         Mode::Standby => Activity::Standby,

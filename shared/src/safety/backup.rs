@@ -9,7 +9,7 @@
 //! The flow sensor is sound as long as its volume is near that of the valve's model: within a supply pressure that falls, not if
 //! the reading stands still.
 
-use crate::breath::Breath;
+use crate::breath::{Breath, Moment};
 use crate::control::COMMAND_MAX;
 use crate::math;
 
@@ -119,8 +119,8 @@ impl Backup {
     /// Records the command of a tick of an inspiration, percent. It fills all bins up to the next tick's, since a slow control
     /// period has fewer ticks than there are bins. After a gap nothing more of the inspiration is recorded.
     #[inline]
-    pub fn record(&mut self, breath: &Breath, tick: u32, command: f32) {
-        let bin = bin(breath, tick);
+    pub fn record(&mut self, moment: &Moment, command: f32) {
+        let (breath, bin) = (moment.breath, bin(moment.breath, moment.tick));
         if bin > self.next {
             return;
         }
@@ -130,7 +130,8 @@ impl Backup {
         (self.sum, self.count) = (self.sum + command, self.count + 1.0);
         let weight = if self.is_of_another_rise(breath) { 1.0 } else { NEW_BREATH };
         let mean = self.sum / self.count;
-        self.next = bins_before(breath, tick + 1).clamp(bin + 1, BINS);
+        self.next = bins_before(breath, moment.tick + 1).clamp(bin + 1, BINS);
+        debug_assert!(mean >= 0.0, "a valve has no negative command");
         for bin in bin..self.next {
             let before = self.commands.good()[bin];
             self.commands.running()[bin] = before + weight * (mean - before);
@@ -147,6 +148,7 @@ impl Backup {
     /// The command of that tick is not known yet; the one before lasts.
     pub fn accept(&mut self, breath: &Breath) {
         let Some(last) = self.next.checked_sub(1) else { return };
+        debug_assert!(last < BINS);
         if self.next < bin(breath, breath.inspiration_ticks().saturating_sub(1)) {
             return;
         }
@@ -178,13 +180,14 @@ impl Backup {
 
     /// The command of a tick of an inspiration, percent; `by_flow`: corrected by the flow sensor, if that is sound.
     #[inline]
-    pub fn command(&self, breath: &Breath, tick: u32, by_flow: bool) -> f32 {
+    pub fn command(&self, moment: &Moment, by_flow: bool) -> f32 {
+        let breath = moment.breath;
         let rise = rise_of(breath);
         let Some(good_rise) = self.rise else {
             return rise * STIFFEST / breath.settings().inspiratory_time / FLOW_PER_COMMAND;
         };
         let scale = math::limit(rise / good_rise, 0.0, 1.0);
-        let bin = bin(breath, tick);
+        let bin = bin(breath, moment.tick);
         let command = scale * self.commands.good()[bin];
         let Some(course) = self.course.as_ref().filter(|_| by_flow && self.is_flow_sound()) else {
             return command;
@@ -233,7 +236,7 @@ mod tests {
     fn good(backup: &mut Backup, breath: &Breath, command: impl Fn(u32) -> f32) {
         backup.start_breath();
         for tick in 0..breath.inspiration_ticks() {
-            backup.record(breath, tick, command(tick));
+            backup.record(&breath.at(tick), command(tick));
         }
         backup.accept(breath);
     }
@@ -246,7 +249,7 @@ mod tests {
             good(&mut backup, &breath, command);
         }
         for tick in [0, 150, 290, 320, 600, 999] {
-            assert!((backup.command(&breath, tick, true) - command(tick)).abs() < 1e-3, "tick {tick}");
+            assert!((backup.command(&breath.at(tick), true) - command(tick)).abs() < 1e-3, "tick {tick}");
         }
     }
 
@@ -255,7 +258,7 @@ mod tests {
         let (breath, mut backup) = (breath(25.0), Backup::new());
         good(&mut backup, &breath, |tick| tick as f32);
         // The bin of the 500th millisecond has the ticks 500 to 515.
-        assert!((backup.command(&breath, 510, true) - 507.5).abs() < 1e-3);
+        assert!((backup.command(&breath.at(510), true) - 507.5).abs() < 1e-3);
     }
 
     #[test]
@@ -263,7 +266,7 @@ mod tests {
         let (breath, mut backup) = (breath(25.0), Backup::new());
         good(&mut backup, &breath, |_| 30.0);
         good(&mut backup, &breath, |_| 40.0);
-        assert!((backup.command(&breath, 500, true) - 33.0).abs() < 1e-3);
+        assert!((backup.command(&breath.at(500), true) - 33.0).abs() < 1e-3);
     }
 
     #[test]
@@ -272,20 +275,20 @@ mod tests {
         good(&mut backup, &breath, |_| 30.0);
         backup.start_breath();
         for tick in 0..1000 {
-            backup.record(&breath, tick, 100.0);
+            backup.record(&breath.at(tick), 100.0);
         }
         backup.start_breath();
-        assert!((backup.command(&breath, 500, true) - 30.0).abs() < 1e-4);
+        assert!((backup.command(&breath.at(500), true) - 30.0).abs() < 1e-4);
     }
 
     #[test]
     fn before_the_first_good_breath_a_stiff_lung_is_filled_to_pip() {
         // 200 mL within a second: 20 cmH2O in a lung of 10 mL/cmH2O.
-        let command = Backup::new().command(&breath(25.0), 0, true);
+        let command = Backup::new().command(&breath(25.0).at(0), true);
         assert!((command * FLOW_PER_COMMAND - 0.2).abs() < 1e-4, "{command} %");
         let short = Settings { inspiratory_time: 0.5, ..paper_settings(25.0) };
         let short = Breath::new(&short, DEFAULT_PERIOD_US).unwrap();
-        let command = Backup::new().command(&short, 0, true);
+        let command = Backup::new().command(&short.at(0), true);
         assert!((command * FLOW_PER_COMMAND - 0.4).abs() < 1e-4, "{command} % in half a second");
     }
 
@@ -293,11 +296,11 @@ mod tests {
     fn other_settings_never_deliver_more_than_the_profile() {
         let mut backup = Backup::new();
         good(&mut backup, &breath(25.0), |_| 40.0);
-        assert!((backup.command(&breath(15.0), 10, true) - 20.0).abs() < 1e-3);
-        assert!((backup.command(&breath(35.0), 10, true) - 40.0).abs() < 1e-3);
+        assert!((backup.command(&breath(15.0).at(10), true) - 20.0).abs() < 1e-3);
+        assert!((backup.command(&breath(35.0).at(10), true) - 40.0).abs() < 1e-3);
         good(&mut backup, &breath(15.0), |_| 10.0);
         assert!(
-            (backup.command(&breath(15.0), 10, true) - 10.0).abs() < 1e-3,
+            (backup.command(&breath(15.0).at(10), true) - 10.0).abs() < 1e-3,
             "a mean of one kind of breath"
         );
     }
@@ -312,15 +315,15 @@ mod tests {
         let (breath, mut backup) = (slow_breath(0.4), Backup::new());
         good(&mut backup, &breath, |tick| tick as f32);
         for tick in 0..breath.inspiration_ticks() {
-            assert!((backup.command(&breath, tick, true) - tick as f32).abs() < 1e-4);
+            assert!((backup.command(&breath.at(tick), true) - tick as f32).abs() < 1e-4);
         }
         // 30 ticks with the commands of 20.
         let long = slow_breath(0.6);
-        let commands = [0, 1, 2, 29].map(|tick| backup.command(&long, tick, true));
+        let commands = [0, 1, 2, 29].map(|tick| backup.command(&long.at(tick), true));
         let expected = [0.0, 0.0, 1.0, 19.0];
         assert!(commands.iter().zip(expected).all(|(c, e)| (c - e).abs() < 1e-4), "{commands:?}");
         good(&mut backup, &long, |_| 10.0);
-        let means = [0, 1, 2, 29].map(|tick| backup.command(&breath, tick, true));
+        let means = [0, 1, 2, 29].map(|tick| backup.command(&breath.at(tick), true));
         let expected = [3.0, 3.7, 4.4, 16.3];
         assert!(means.iter().zip(expected).all(|(mean, e)| (mean - e).abs() < 1e-4), "{means:?}");
     }
@@ -330,15 +333,15 @@ mod tests {
         let (breath, mut backup) = (slow_breath(0.4), Backup::new());
         backup.start_breath();
         let last = breath.inspiration_ticks() - 1;
-        (0..last).for_each(|tick| backup.record(&breath, tick, 10.0 + tick as f32));
+        (0..last).for_each(|tick| backup.record(&breath.at(tick), 10.0 + tick as f32));
         backup.count(0.4, 0.4, 0.02);
         backup.accept(&breath);
-        assert!((backup.command(&breath, last, false) - 9.0 - last as f32).abs() < 1e-4);
+        assert!((backup.command(&breath.at(last), false) - 9.0 - last as f32).abs() < 1e-4);
         assert_eq!(backup.volumes.good()[BINS - 1].to_bits(), backup.volumes.good()[BINS - 4].to_bits());
         // The command of the last tick comes after this and belongs to no mean.
-        backup.record(&breath, last, 90.0);
+        backup.record(&breath.at(last), 90.0);
         good(&mut backup, &breath, |_| 10.0);
-        assert!((backup.command(&breath, 0, false) - 10.0).abs() < 1e-4);
+        assert!((backup.command(&breath.at(0), false) - 10.0).abs() < 1e-4);
     }
 
     #[test]
@@ -351,7 +354,7 @@ mod tests {
         for recorded in [0..0, 1..1000, 16..1000, 0..969] {
             backup.start_breath();
             let all = recorded.start == 1;
-            recorded.for_each(|tick| backup.record(&breath, tick, 90.0));
+            recorded.for_each(|tick| backup.record(&breath.at(tick), 90.0));
             backup.accept(&breath);
             assert_eq!(known(&backup) != before, all, "a tick that is missing in a bin does no harm");
             (backup.commands, backup.volumes, backup.course) = {
@@ -367,7 +370,7 @@ mod tests {
         backup.start_breath();
         for tick in 0..breath.inspiration_ticks() {
             backup.count(sensor, model, 0.001);
-            backup.record(breath, tick, 30.0);
+            backup.record(&breath.at(tick), 30.0);
         }
         backup.accept(breath);
     }
@@ -379,7 +382,7 @@ mod tests {
         delivered(&mut backup, &breath, 0.4, 0.4);
         backup.start_breath();
         backup.count(sensor, model, 1.0);
-        backup.command(&breath, 500, by_flow)
+        backup.command(&breath.at(500), by_flow)
     }
 
     #[test]
@@ -400,7 +403,7 @@ mod tests {
         backup.start_breath();
         let mut command = |volume: f32| {
             (backup.measured, backup.modelled) = (volume, volume);
-            backup.command(&breath, 999, true)
+            backup.command(&breath.at(999), true)
         };
         assert!(command(399.0) > 29.0 && command(400.1).abs() < 1e-6);
     }
@@ -444,7 +447,7 @@ mod tests {
         // Half of 430 mL.
         backup.start_breath();
         (backup.measured, backup.modelled) = (195.0, 195.0);
-        let command = backup.command(&breath, 499, true);
+        let command = backup.command(&breath.at(499), true);
         assert!((command - 38.0).abs() < 0.5, "{command} %");
     }
 
@@ -454,7 +457,7 @@ mod tests {
         delivered(&mut backup, &high, 0.4, 0.4);
         backup.start_breath();
         (backup.measured, backup.modelled) = (201.0, 201.0);
-        assert!(backup.command(&low, 999, true).abs() < 1e-6, "half of the rise, half of the volume");
+        assert!(backup.command(&low.at(999), true).abs() < 1e-6, "half of the rise, half of the volume");
         delivered(&mut backup, &low, f32::NAN, 0.2);
         assert!(backup.course.is_none());
     }

@@ -4,7 +4,7 @@ use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::volumes::BreathVolumes;
 use super::windows::Windows;
-use crate::breath::{Breath, Phase};
+use crate::breath::Moment;
 
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
 pub(super) const ABOVE_PEEP: f32 = 3.0;
@@ -129,10 +129,8 @@ impl BreathState {
 /// Input of the monitor in one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct BreathInput<'a> {
-    /// The running breath.
-    pub breath: &'a Breath,
-    /// Tick within that breath.
-    pub tick: u32,
+    /// The tick of the running breath.
+    pub moment: Moment<'a>,
     /// Whether its inspiration was ended at the pressure limit.
     pub cut: bool,
     /// Believed pressure, cmH2O.
@@ -194,9 +192,9 @@ impl BreathMonitor {
 
     /// Checks one tick. An inspiration that is ended at the pressure limit is checked for occlusion only.
     #[inline]
-    pub fn check(&self, state: &mut BreathState, input: &BreathInput<'_>) -> Option<Fault> {
-        let BreathInput { breath, tick, cut, pressure, command, leaks, last, .. } = *input;
-        if tick == 0 {
+    pub fn check(&self, state: &mut BreathState, input: &BreathInput) -> Option<Fault> {
+        let BreathInput { moment, cut, pressure, command, leaks, last, .. } = *input;
+        if moment.tick == 0 {
             state.leaky = in_a_row(state.leaky, leaks);
             state.breath_ended(last);
         }
@@ -204,13 +202,12 @@ impl BreathMonitor {
             // Volumes with and without a leak are not comparable.
             state.compliances = [None; 2];
         }
-        let peep = breath.settings().peep;
-        let inspires = breath.phase(tick) == Phase::Inspiration;
-        let end = if inspires { breath.inspiration_ticks() } else { breath.total_ticks() };
+        let (peep, inspires) = (moment.settings().peep, moment.inspires());
+        let left = if inspires { moment.breath.inspiration_ticks() - moment.tick } else { moment.left() };
         let open_end = pressure < (peep - BELOW_PEEP).min(OPEN_END * peep);
         if inspires && !cut {
-            let told = state.gone.saturating_add(u32::from(command > FILLING));
-            state.gone = if open_end { told } else { 0 };
+            let gone = state.gone.saturating_add(u32::from(command > FILLING));
+            state.gone = if open_end { gone } else { 0 };
         }
         let longest = if input.capped { self.slow_disconnected } else { self.disconnected };
         state.back = in_a_row(state.back, inspires && pressure > peep);
@@ -225,12 +222,12 @@ impl BreathMonitor {
             return Some(Fault::Occlusion);
         }
         state.cut = cut;
-        state.rest.add(breath, tick, self.end_of_phase, Some([pressure]));
-        if inspires && tick + self.end_of_phase >= end {
+        state.rest.add(&moment, self.end_of_phase, Some([pressure]));
+        if inspires && left <= self.end_of_phase {
             state.pressure.add(pressure);
             state.command.add(command);
         }
-        if tick + 1 != end {
+        if left != 1 {
             return None;
         }
         if !inspires {
@@ -243,17 +240,11 @@ impl BreathMonitor {
         self.inspired(state, &BreathInput { pressure, command, ..*input })
     }
 
-    /// Checks an expiration that an effort ends early, by its pressure before that.
+    /// Checks an expiration that an effort ends early at this PEEP, cmH2O, by its pressure before that.
     /// `emptied`: it lasted long enough to have a baseline.
-    pub fn triggered(
-        &self,
-        state: &mut BreathState,
-        breath: &Breath,
-        emptied: bool,
-        cut: bool,
-    ) -> Option<Fault> {
+    pub fn triggered(&self, state: &mut BreathState, peep: f32, emptied: bool, cut: bool) -> Option<Fault> {
         let before = state.high;
-        let fault = self.expired(state, state.rest.before(), breath.settings().peep, cut);
+        let fault = self.expired(state, state.rest.before(), peep, cut);
         if !emptied {
             state.high = state.high.min(before);
         }
@@ -266,8 +257,8 @@ impl BreathMonitor {
     }
 
     /// Checks an inspiration by the means over its end.
-    fn inspired(&self, state: &mut BreathState, end: &BreathInput<'_>) -> Option<Fault> {
-        let settings = end.breath.settings();
+    fn inspired(&self, state: &mut BreathState, end: &BreathInput) -> Option<Fault> {
+        let settings = end.moment.settings();
         let rise = end.pressure - settings.peep;
         let weak = rise < REACHED * (settings.pip - settings.peep) && end.command > WIDE_OPEN;
         state.weak = in_a_row(state.weak, weak);
@@ -280,7 +271,7 @@ impl BreathMonitor {
 
     /// Compares the ratio of volume to rise with that of the last good breaths; whether the tube is occluded. A patient's
     /// effort or cough changes the ratio too, but gas passes the tube.
-    fn occluded(&self, state: &mut BreathState, rise: f32, end: &BreathInput<'_>) -> bool {
+    fn occluded(&self, state: &mut BreathState, rise: f32, end: &BreathInput) -> bool {
         let BreathInput { volume, reached, cut, .. } = *end;
         if rise <= TELLING_RISE {
             return false;
@@ -316,6 +307,8 @@ impl BreathMonitor {
         state.above = in_a_row(state.above, above_peep > ABOVE_PEEP);
         // After a cough the lung contains less gas than at PEEP.
         state.low = in_a_row(state.low, above_peep < -BELOW_PEEP && !cut);
+        debug_assert!(state.high <= state.above, "efforts shorten no row but one");
+        debug_assert!(state.low == 0 || state.high == 0, "a baseline is high or low");
         if state.high >= self.high || self.is_trapped(state) {
             return Some(Fault::BaselineHigh);
         }

@@ -11,7 +11,7 @@ use super::leak::{Leak, Loss};
 use super::lung_estimator::command_for;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::responses::{Response, Responses};
-use crate::breath::{Breath, Phase, period_s};
+use crate::breath::{Breath, Moment, Phase, period_s};
 use crate::math;
 use crate::safety::alarms::Fault;
 
@@ -119,30 +119,25 @@ impl Expiration {
 
     /// Records the pressure of a tick of a breath, cmH2O. A doubtful pressure, or that of an open tube, raises no flow.
     #[inline]
-    pub fn observe(
-        &self,
-        state: &mut ExpirationState,
-        breath: &Breath,
-        tick: u32,
-        pressure: f32,
-        doubtful: bool,
-    ) {
+    pub fn observe(&self, state: &mut ExpirationState, moment: &Moment, pressure: f32, doubtful: bool) {
+        let settings = moment.settings();
         state.smooth += self.smoothing * (pressure - state.smooth);
-        state.high = pressure > breath.settings().pip + OVERSHOOT;
+        state.high = pressure > settings.pip + OVERSHOOT;
         // In a shorter expiration from its start on: there the fall counts too, which errs on the side of a longer one.
-        if tick + self.constant_for <= breath.total_ticks() || breath.phase(tick) == Phase::Inspiration {
+        if moment.left() >= self.constant_for || moment.inspires() {
             state.earlier = state.smooth;
         }
-        let sag = breath.settings().peep - SAG - pressure;
-        if breath.phase(tick) == Phase::Expiration {
+        let sag = settings.peep - SAG - pressure;
+        if moment.phase == Phase::Expiration {
             let holds = sag > 0.0 && !doubtful && self.responses.has(Response::LeakCompensation);
             let rate = if holds { RISE * sag } else { -RELEASE };
             state.compensation = math::limit(state.compensation + rate * self.period, 0.0, BOUND);
             state.lowest = state.lowest.min(state.compensation);
         }
-        if tick + 1 == breath.total_ticks() {
-            self.assess(state, breath.settings().peep);
+        if moment.left() == 1 {
+            self.assess(state, settings.peep);
         }
+        debug_assert!((0.0..=BOUND).contains(&state.compensation()));
     }
 
     /// Assesses an expiration at its end.
@@ -179,6 +174,7 @@ impl Expiration {
         let comes_out = expired_share.is_some_and(|share| share >= COMES_OUT);
         let follows = comes_out && self.responses.has(Response::HigherPip);
         state.shift = if follows { state.above } else { 0.0 };
+        debug_assert!(state.shift >= 0.0, "PIP follows no baseline down");
         let least = if state.compensation() > LEAK { TIGHT } else { OPEN };
         let lost = state.unchecked == 0 && expired_share.is_some_and(|share| share < least);
         state.leaks = in_a_row(state.leaks, lost);
@@ -207,10 +203,11 @@ impl Expiration {
     }
 
     /// Whether the expiration goes on at a tick at which the next breath is due.
-    pub fn goes_on(&self, state: &ExpirationState, breath: &Breath, tick: u32) -> bool {
-        let peep = breath.settings().peep;
-        let incomplete = state.incomplete >= IN_A_ROW && state.smooth - peep > ABOVE_PEEP;
-        incomplete && state.falling && tick < breath.total_ticks() + breath.total_ticks() / 2
+    pub fn goes_on(&self, state: &ExpirationState, moment: &Moment) -> bool {
+        let above = state.smooth - moment.settings().peep;
+        let due = moment.breath.total_ticks();
+        let incomplete = state.incomplete >= IN_A_ROW && above > ABOVE_PEEP;
+        incomplete && state.falling && moment.tick < due + due / 2
     }
 }
 
@@ -282,7 +279,7 @@ mod tests {
         let breath = breath();
         for tick in (0..count).flat_map(|_| 0..breath.total_ticks()) {
             let since = tick.checked_sub(breath.inspiration_ticks());
-            expiration.observe(&mut state, &breath, tick, since.map_or(plateau, &pressure), false);
+            expiration.observe(&mut state, &breath.at(tick), since.map_or(plateau, &pressure), false);
             if tick + 1 == breath.total_ticks() {
                 expiration.start_breath(&mut state, expired_share);
             }
@@ -298,7 +295,7 @@ mod tests {
         assert!((bounded.compensation() - BOUND).abs() < 1e-3);
         let breath = breath();
         for tick in (0..15).flat_map(|_| 1500..3000) {
-            expiration.observe(&mut state, &breath, tick, 5.0, false);
+            expiration.observe(&mut state, &breath.at(tick), 5.0, false);
         }
         assert!(state.compensation().abs() < 1e-3);
     }
@@ -308,7 +305,7 @@ mod tests {
         let (expiration, mut state) = breaths(0, 25.0, |_| 0.0);
         let breath = breath();
         for tick in 1500..3000 {
-            expiration.observe(&mut state, &breath, tick, 2.0, true);
+            expiration.observe(&mut state, &breath.at(tick), 2.0, true);
         }
         assert!(state.compensation().abs() < 1e-3);
     }
@@ -401,7 +398,7 @@ mod tests {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         expiration.learn_leak(&mut state, 5.0, lost(0.1));
         for (pressure, flows) in [(27.0, true), (27.1, false), (24.0, true)] {
-            expiration.observe(&mut state, &breath(), 1200, pressure, false);
+            expiration.observe(&mut state, &breath().at(1200), pressure, false);
             assert_eq!(state.compensation() > 5.0, flows, "{pressure} cmH2O at a PIP of 25");
         }
     }
@@ -452,7 +449,7 @@ mod tests {
         expiration.triggered(&mut state, 5.0, true, true);
         expiration.start_breath(&mut state, Some(1.0));
         assert!(state.shift(&breath()).abs() < 1e-6);
-        assert!(expiration.goes_on(&state, &breath(), 3000));
+        assert!(expiration.goes_on(&state, &breath().at(3000)));
         expiration.triggered(&mut state, 5.0, false, true);
         assert_eq!(state.incomplete, 2, "still emptying");
         for emptied in [true, false] {
@@ -475,7 +472,7 @@ mod tests {
         let (expiration, mut state) = breaths(2, 25.0, |_| 15.0);
         state.settings_changed();
         expiration.start_breath(&mut state, Some(1.0));
-        assert!(state.shift(&breath()).abs() < 1e-6 && !expiration.goes_on(&state, &breath(), 3000));
+        assert!(state.shift(&breath()).abs() < 1e-6 && !expiration.goes_on(&state, &breath().at(3000)));
     }
 
     #[test]
@@ -489,23 +486,23 @@ mod tests {
         let slowly = |tick: u32| 25.0 - 0.005 * tick as f32;
         let (expiration, state) = breaths(2, 25.0, slowly);
         let breath = breath();
-        assert!(expiration.goes_on(&state, &breath, 3000) && expiration.goes_on(&state, &breath, 4499));
-        assert!(!expiration.goes_on(&state, &breath, 4500));
+        assert!(expiration.goes_on(&state, &breath.at(3000)) && expiration.goes_on(&state, &breath.at(4499)));
+        assert!(!expiration.goes_on(&state, &breath.at(4500)));
         assert!(state.shift(&breath).abs() < 1e-6, "PIP does not rise");
         let (expiration, state) = breaths(1, 25.0, slowly);
-        assert!(!expiration.goes_on(&state, &breath, 3000), "after the second one");
+        assert!(!expiration.goes_on(&state, &breath.at(3000)), "after the second one");
         let (mut expiration, state) = breaths(2, 25.0, slowly);
         expiration = Expiration { enabled: false, ..expiration };
         let mut without = ExpirationState { incomplete: 0, ..state };
         expiration.assess(&mut without, 5.0);
-        assert!(!expiration.goes_on(&without, &breath, 3000));
+        assert!(!expiration.goes_on(&without, &breath.at(3000)));
     }
 
     #[test]
     fn pip_follows_a_constant_baseline_up_to_the_limit() {
         let (expiration, state) = breaths(2, 25.0, |_| 15.0);
         assert!((state.shift(&breath()) - 10.0).abs() < 0.1);
-        assert!(!expiration.goes_on(&state, &breath(), 3000), "it would not fall any further");
+        assert!(!expiration.goes_on(&state, &breath().at(3000)), "it would not fall any further");
         let tight = Settings { pressure_limit: 36.0, ..paper_settings(25.0) };
         let tight = Breath::new(&tight, DEFAULT_PERIOD_US).unwrap();
         assert!((state.shift(&tight) - 4.0).abs() < 1e-3);
@@ -526,7 +523,7 @@ mod tests {
         let change = |tick, pressure, doubtful| {
             let mut state = ExpirationState { compensation: 10.0, ..ExpirationState::default() };
             let expiration = Expiration::new(1000, Monitors::ALL);
-            expiration.observe(&mut state, &breath(), tick, pressure, doubtful);
+            expiration.observe(&mut state, &breath().at(tick), pressure, doubtful);
             (1e4 * (state.compensation() - 10.0) + 0.5).floor() as i32
         };
         assert_eq!((change(2000, 3.5, false), change(2000, 4.0, false)), (400, 200));
@@ -544,14 +541,14 @@ mod tests {
         let second = |smooth, earlier| {
             let mut state = ExpirationState { smooth, earlier, incomplete: 1, ..ExpirationState::default() };
             expiration.assess(&mut state, 5.0);
-            (state.incomplete, state.falling, expiration.goes_on(&state, &breath, 3000))
+            (state.incomplete, state.falling, expiration.goes_on(&state, &breath.at(3000)))
         };
         assert_eq!(second(8.0, 9.0), (0, true, false), "3 cmH2O above PEEP");
         assert_eq!(second(8.1, 9.0), (2, true, true));
         assert_eq!(second(8.5, 9.0), (2, false, false), "a fall of half a cmH2O");
         let state =
             ExpirationState { smooth: 8.0, incomplete: 2, falling: true, ..ExpirationState::default() };
-        assert!(!expiration.goes_on(&state, &breath, 3000));
+        assert!(!expiration.goes_on(&state, &breath.at(3000)));
     }
 
     #[test]
@@ -576,12 +573,12 @@ mod tests {
         let (expiration, mut state) = (Expiration::new(1000, Monitors::ALL), ExpirationState::default());
         for tick in (0..3).flat_map(|_| 0..1000_u32) {
             let pressure = 25.0 - 0.02 * tick.saturating_sub(400) as f32;
-            expiration.observe(&mut state, &breath, tick, pressure, false);
+            expiration.observe(&mut state, &breath.at(tick), pressure, false);
             if tick == 999 {
                 expiration.start_breath(&mut state, Some(1.0));
             }
         }
-        assert!(expiration.goes_on(&state, &breath, 1000));
+        assert!(expiration.goes_on(&state, &breath.at(1000)));
         assert!(state.shift(&breath).abs() < 1e-6);
     }
 

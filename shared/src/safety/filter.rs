@@ -4,7 +4,7 @@ use crate::control::COMMAND_MAX;
 use crate::math;
 
 /// Largest command of the self-test, percent.
-const TEST_MAX: f32 = 20.0;
+pub(crate) const TEST_MAX: f32 = 20.0;
 
 /// Command for the valves. Its fields are private and only the safety filter constructs it, so no controller can
 /// bypass the filter.
@@ -43,7 +43,9 @@ impl ValveCommand {
 
     /// A command limited to the valve's range; NaN closes the inspiratory valve.
     pub(super) fn limited(u_in: f32, u_out: bool) -> Self {
-        Self { u_in: math::limit(u_in, 0.0, COMMAND_MAX), u_out }
+        let u_in = math::limit(u_in, 0.0, COMMAND_MAX);
+        debug_assert!((0.0..=COMMAND_MAX).contains(&u_in), "no command leaves the valve's range");
+        Self { u_in, u_out }
     }
 
     /// A command of the self-test, in standby: limited to [`TEST_MAX`], and safe unless the reading is below a ceiling, cmH2O.

@@ -29,8 +29,10 @@ impl HostWatch {
     #[inline]
     pub fn is_gone(&mut self, ventilating: bool) -> bool {
         let Some(silent) = self.silent.filter(|_| ventilating) else { return false };
+        debug_assert!(silent <= self.allowed, "a silence is reported once");
         let gone = silent >= self.allowed;
         self.silent = (!gone).then_some(silent + 1);
+        debug_assert!(gone == self.silent.is_none());
         gone
     }
 }

@@ -70,6 +70,7 @@ impl Indications {
         }
         self.present.add(fault);
         self.since[fault as usize % ALARMS.len()] = 0;
+        debug_assert!(self.indicated().has(fault));
     }
 
     /// Lets a tick pass; a condition that was last found `hold` ticks ago is gone.
@@ -85,6 +86,8 @@ impl Indications {
                 self.present.remove(fault);
             }
         }
+        let since = |fault: Fault| self.since[fault as usize % ALARMS.len()];
+        debug_assert!(self.present.faults().all(|fault| since(fault) <= hold), "what is gone is not present");
     }
 
     /// Takes the begun alarm of the highest priority.

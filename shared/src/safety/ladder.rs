@@ -48,13 +48,16 @@ impl Ladder {
 
     /// Goes down to `level`, unless already there or below.
     pub fn step_down(&mut self, level: Level) {
+        debug_assert!(level < Level::Backup, "backup ventilation is no step of the ladder");
         self.level = self.level.max(level);
         self.clean = 0;
     }
 
     /// Counts a breath that ended at the pressure limit (`cut`) or cleanly; returns the fault to raise.
     pub fn breath_ended(&mut self, cut: bool) -> Option<Fault> {
-        if cut { self.strike() } else { self.clean_breath() }
+        let fault = if cut { self.strike() } else { self.clean_breath() };
+        debug_assert!(self.strikes == 0 || self.clean == 0, "one kind of breath ends a row of the other");
+        fault
     }
 
     fn strike(&mut self) -> Option<Fault> {

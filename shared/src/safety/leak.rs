@@ -63,6 +63,8 @@ impl Leak {
             (REMEMBERED * self.gas + breath.gas, REMEMBERED * self.root + breath.root)
         };
         self.last = [old, breath];
+        debug_assert!(self.root >= 0.0 || self.root.is_nan(), "a pressure has no negative root");
+        debug_assert!(self.leak() >= 0.0, "no leak lets gas in");
         changed || first
     }
 

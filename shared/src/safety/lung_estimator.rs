@@ -183,6 +183,7 @@ impl LungEstimator {
         state.at = (state.at + 1) % DELAY_MAX;
         let due = state.pipe[(state.at + DELAY_MAX - 1 - self.delay) % DELAY_MAX];
         state.opening += self.lag_factor * (due - state.opening);
+        debug_assert!(state.at < DELAY_MAX && !state.opening.is_nan());
     }
 
     /// Ends the inspiration: estimates the lung from it, if it was long enough and the fit is good enough. `triggered`: an effort
@@ -215,6 +216,7 @@ impl LungEstimator {
     fn count(&self, state: &mut LungState, pressure: f32) {
         state.flow = flow(state.opening) * math::limit(1.0 - BACK_PRESSURE * pressure, 0.0, 1.0);
         state.volume += 1000.0 * state.flow * self.period;
+        debug_assert!(state.flow >= 0.0 && state.volume >= 0.0, "the valve lets no gas out");
     }
 
     /// Checks a tick of the inspiration; true if the pressure, cmH2O, does not respond to the delivered gas.

@@ -1,4 +1,5 @@
 //! Safety: checks readings, pressure and breaths, limits the controller's command, and keeps ventilating where it can.
+//! Its assertions are compiled out on the chip, as everywhere in this crate.
 //!
 //! | module | purpose |
 //! |---|---|

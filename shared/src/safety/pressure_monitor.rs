@@ -113,6 +113,8 @@ impl PressureMonitor {
         state.ahead_above = in_a_row(state.ahead_above, self.quick && ahead > limit + AHEAD_ABOVE);
         state.away = in_a_row(state.away, pressure > peep + BACK_AT_PEEP);
         state.open = in_a_row(state.open, venting);
+        debug_assert!(state.vented_above <= state.above, "the shorter of two rows");
+        debug_assert!((state.open > 0) == venting);
         if state.open <= 1 {
             state.opened_at = pressure;
         }

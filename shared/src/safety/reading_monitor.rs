@@ -123,6 +123,7 @@ impl ReadingMonitor {
         if let Some(problem) = self.problem(state, reading) {
             return self.bridge(state, problem);
         }
+        debug_assert!(!reading.is_nan(), "what is believed is a number");
         state.debt = state.debt.saturating_sub(1);
         if state.debt == 0 {
             state.problems = [0; 3];
@@ -171,6 +172,7 @@ impl ReadingMonitor {
         state.same = in_a_row(state.same, same);
         // Once frozen it stays so until it changes.
         state.frozen = if same { state.frozen.saturating_add(u32::from(moves)) } else { 0 };
+        debug_assert!(state.frozen <= state.same, "only a reading that stays the same is frozen");
         let second_difference = (reading - 2.0 * last + before).abs();
         state.second_difference += NOISE_SHARE * (second_difference - state.second_difference);
         if state.frozen >= self.frozen {

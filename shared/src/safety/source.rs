@@ -11,10 +11,10 @@
 use super::alarms::Fault;
 use super::expected::Expected;
 use super::monitors::{Monitors, in_a_row, ticks};
-use super::reading_monitor::{ReadingMonitor, ReadingState};
+use super::reading_monitor::{Believed, ReadingMonitor, ReadingState};
 use super::responses::Response;
 use super::windows::Windows;
-use crate::breath::{Breath, Phase, period_s};
+use crate::breath::{Moment, Phase, period_s};
 use crate::math;
 use crate::sensor::Readings;
 
@@ -54,18 +54,25 @@ pub struct PressureSource {
     doubtful: u32,
 }
 
+/// The worst finding about a sensor since it was last sound for [`SOUND_AGAIN`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+enum Condition {
+    /// None.
+    #[default]
+    Sound,
+    /// It is too noisy.
+    Noisy,
+    /// It has failed another check.
+    Lost,
+}
+
 /// State of one sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[expect(clippy::struct_excessive_bools, reason = "independent findings, each with a name of its own")]
 struct SensorState {
     reading: ReadingState,
-    /// Whether it has ever given a good reading.
-    exists: bool,
-    /// Whether a check has failed, and the ticks without a finding since.
-    lost: bool,
+    condition: Condition,
+    /// Ticks without a finding.
     sound: u32,
-    /// Whether it is too noisy.
-    noisy: bool,
     /// Whether it lost the comparison with the other sensor.
     doubted: bool,
     /// Smoothed reading, cmH2O.
@@ -76,14 +83,39 @@ struct SensorState {
 }
 
 impl SensorState {
+    /// Whether it has ever given a good reading.
+    fn exists(&self) -> bool {
+        self.reading.last_good().is_some()
+    }
+
+    /// Whether it is not used, whatever it reads.
+    fn is_out_of_use(&self) -> bool {
+        self.condition == Condition::Lost || self.doubted
+    }
+
     fn is_sound(&self) -> bool {
-        self.exists && !self.lost && !self.doubted
+        self.exists() && !self.is_out_of_use()
     }
 
     /// Remembers the other sensor and the flow when the reading changes.
     fn witness(&mut self, other: f32, flow: f32) {
         if self.reading.changed() {
             (self.other_then, self.flow_then) = (other, flow);
+        }
+    }
+
+    /// A finding: it takes time without one until the sensor is sound again.
+    fn fails(&mut self, condition: Condition) {
+        (self.condition, self.sound) = (self.condition.max(condition), 0);
+    }
+
+    /// What this sensor reads, if it is the one in use.
+    fn read(&self, believed: Believed) -> Reading {
+        match believed.pressure {
+            _ if self.is_out_of_use() => Reading::Lost,
+            None => Reading::None,
+            Some(pressure) if believed.fresh => Reading::Fresh(pressure),
+            Some(pressure) => Reading::Bridged(pressure),
         }
     }
 }
@@ -102,22 +134,41 @@ pub struct SourceState {
     agreed_at_plateau: bool,
 }
 
-/// The pressure of one tick.
+/// The pressure to control with, cmH2O.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[expect(clippy::struct_excessive_bools, reason = "independent findings, each with a name of its own")]
+pub enum Reading {
+    /// There has been no good reading yet.
+    #[default]
+    None,
+    /// The reading of this tick.
+    Fresh(f32),
+    /// The last good reading in place of a missing one.
+    Bridged(f32),
+    /// No sensor is sound.
+    Lost,
+}
+
+impl Reading {
+    /// The pressure, cmH2O, if there is one.
+    pub fn pressure(self) -> Option<f32> {
+        match self {
+            Self::Fresh(pressure) | Self::Bridged(pressure) => Some(pressure),
+            Self::None | Self::Lost => None,
+        }
+    }
+}
+
+/// The choice of one tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Chosen {
-    /// The pressure to control with, cmH2O; none without a sound sensor.
-    pub pressure: Option<f32>,
-    /// Whether it is a reading of this tick and not a replacement for a missing one.
-    pub fresh: bool,
-    /// Whether no sensor is sound; also false before the first reading.
-    pub lost: bool,
-    /// Whether the sensor in use is too noisy.
-    pub noisy: bool,
+    /// What the sensor in use reads.
+    pub reading: Reading,
     /// Whether two sound sensors differ by more than a small flow explains.
     pub doubtful: bool,
     /// Findings about the airway sensor, the outlet sensor and their difference.
     pub findings: [Option<Fault>; 3],
+    /// Finding about the airway sensor to which the quiet outlet sensor in its place is the response.
+    pub replaced: Option<Fault>,
 }
 
 impl PressureSource {
@@ -147,33 +198,36 @@ impl PressureSource {
         let breathes = expected.breathes();
         let moves = [(&state.airway, &state.outlet), (&state.outlet, &state.airway)]
             .map(|(sensor, other)| self.must_change(sensor, other, expected, flow));
-        let (airway, airway_fault) = self.judge(&mut state.airway, readings.airway, breathes, moves[0]);
-        if !state.outlet.exists && readings.outlet.is_nan() {
-            let findings = [airway_fault, None, None];
-            return Self::alone(&state.airway, airway, findings);
+        let airway = self.judge(&mut state.airway, readings.airway, breathes, moves[0]);
+        if !state.outlet.exists() && readings.outlet.is_nan() {
+            let findings = [airway.fault, None, None];
+            return Chosen { reading: state.airway.read(airway), findings, ..Chosen::default() };
         }
-        let (outlet, outlet_fault) = self.judge(&mut state.outlet, readings.outlet, breathes, moves[1]);
+        let outlet = self.judge(&mut state.outlet, readings.outlet, breathes, moves[1]);
         let smooth = [state.airway.smooth, state.outlet.smooth];
         state.airway.witness(smooth[1], flow);
         state.outlet.witness(smooth[0], flow);
         // A finding about a sensor that was never there is none.
-        let outlet_fault = outlet_fault.filter(|_| state.outlet.exists).map(|_| Fault::OutletSensorLost);
-        let both = state.airway.is_sound() && state.outlet.is_sound();
-        let far = both && (readings.airway - readings.outlet).abs() > FAR_APART;
-        state.apart = in_a_row(state.apart, far);
+        let outlet_fault = outlet.fault.filter(|_| state.outlet.exists()).map(|_| Fault::OutletSensorLost);
+        let apart = (readings.airway - readings.outlet).abs();
+        let both = state.are_both_sound();
+        state.apart = in_a_row(state.apart, both && apart > FAR_APART);
         let disagree = state.apart >= self.apart;
-        let findings = [airway_fault, outlet_fault, disagree.then_some(Fault::SensorsDisagree)];
         let higher = readings.outlet > readings.airway;
+        let quieter =
+            state.airway.condition == Condition::Noisy && state.outlet.condition != Condition::Noisy;
         let use_outlet = match (state.airway.is_sound(), state.outlet.is_sound()) {
-            (true, true) => (disagree && higher) || (state.airway.noisy && !state.outlet.noisy),
+            (true, true) => (disagree && higher) || quieter,
             (_, sound) => sound,
         };
-        let chosen = if use_outlet && self.enabled.responses().has(Response::OtherSensor) {
-            Self::alone(&state.outlet, outlet, findings)
-        } else {
-            Self::alone(&state.airway, airway, findings)
-        };
-        Chosen { doubtful: both && (readings.airway - readings.outlet).abs() > DOUBTFUL, ..chosen }
+        let use_outlet = use_outlet && self.enabled.responses().has(Response::OtherSensor);
+        debug_assert!(!use_outlet || state.outlet.is_sound(), "an unsound sensor takes no other's place");
+        let (sensor, believed) = if use_outlet { (&state.outlet, outlet) } else { (&state.airway, airway) };
+        let is_replaced = use_outlet && state.outlet.condition == Condition::Sound;
+        let replaced = airway.fault.filter(|fault| is_replaced && *fault == Fault::ReadingNoisy);
+        let airway_fault = airway.fault.filter(|_| replaced.is_none());
+        let findings = [airway_fault, outlet_fault, disagree.then_some(Fault::SensorsDisagree)];
+        Chosen { reading: sensor.read(believed), doubtful: both && apart > DOUBTFUL, findings, replaced }
     }
 
     /// Whether the reading of a sensor cannot stay the same: the other one has moved by more than the drop in the tube, or
@@ -185,60 +239,37 @@ impl PressureSource {
         moved || (!denied && sensor.reading.last_good().is_some_and(|pressure| expected.moves(pressure)))
     }
 
-    /// The choice of one sensor.
-    fn alone(
-        sensor: &SensorState,
-        (pressure, fresh): (Option<f32>, bool),
-        findings: [Option<Fault>; 3],
-    ) -> Chosen {
-        let lost = sensor.lost || sensor.doubted;
-        let pressure = if lost { None } else { pressure };
-        Chosen { pressure, fresh: fresh && !lost, lost, noisy: sensor.noisy, doubtful: false, findings }
-    }
-
-    /// Checks a sensor's reading: its pressure, whether it is fresh, and a finding.
-    fn judge(
-        &self,
-        state: &mut SensorState,
-        reading: f32,
-        breathes: bool,
-        moves: bool,
-    ) -> ((Option<f32>, bool), Option<Fault>) {
+    /// Checks a sensor's reading.
+    fn judge(&self, state: &mut SensorState, reading: f32, breathes: bool, moves: bool) -> Believed {
+        let existed = state.exists();
         let believed = self.monitor.check(&mut state.reading, reading, breathes, moves);
         if believed.fresh {
-            let share = if state.exists { self.smoothing } else { 1.0 };
+            let share = if existed { self.smoothing } else { 1.0 };
             state.smooth += share * (reading - state.smooth);
         }
-        state.exists |= believed.fresh;
         let fault = believed.fault.filter(|fault| self.enabled.has(*fault));
         match fault {
-            Some(Fault::ReadingNoisy) => (state.noisy, state.sound) = (true, 0),
-            Some(_) => (state.lost, state.sound) = (true, 0),
+            Some(Fault::ReadingNoisy) => state.fails(Condition::Noisy),
+            Some(_) => state.fails(Condition::Lost),
             None => state.sound = state.sound.saturating_add(1),
         }
         if state.sound >= self.sound_again {
-            (state.lost, state.noisy) = (false, false);
+            state.condition = Condition::Sound;
         }
-        ((believed.pressure, believed.fresh), fault)
+        debug_assert!(fault.is_none() || state.condition != Condition::Sound);
+        Believed { fault, ..believed }
     }
 
     /// Records the readings of a tick of a breath, for [`Self::compare`]; `window` is the length of its means, ticks.
     #[inline]
-    pub fn record(
-        &self,
-        state: &mut SourceState,
-        breath: &Breath,
-        tick: u32,
-        window: u32,
-        readings: &Readings,
-    ) {
+    pub fn record(&self, state: &mut SourceState, moment: &Moment, window: u32, readings: &Readings) {
         let finite = readings.airway.is_finite() && readings.outlet.is_finite();
         // While the pressure falls, much gas flows between the sensors.
-        let near_end = tick + window >= breath.total_ticks();
-        let both = state.airway.exists && state.outlet.exists && finite;
-        let both = both && (near_end || breath.phase(tick) == Phase::Expiration);
+        let near_end = moment.left() <= window;
+        let both = state.airway.exists() && state.outlet.exists() && finite;
+        let both = both && (near_end || moment.phase == Phase::Expiration);
         let values = both.then_some([readings.airway, readings.outlet]);
-        state.rest.add(breath, tick, window, values);
+        state.rest.add(moment, window, values);
     }
 
     /// Compares the sensors at the end of an inspiration.
@@ -262,7 +293,8 @@ impl PressureSource {
     /// wrong. `triggered`: an effort ends it early.
     pub fn compare(&self, state: &mut SourceState, peep: f32, flow: f32, triggered: bool) -> bool {
         let means = if triggered { state.rest.before() } else { state.rest.last() };
-        let Some([airway, outlet]) = means.filter(|_| !state.airway.lost && !state.outlet.lost) else {
+        let lost = [&state.airway, &state.outlet].iter().any(|sensor| sensor.condition == Condition::Lost);
+        let Some([airway, outlet]) = means.filter(|_| !lost) else {
             return false;
         };
         let apart = (airway - outlet).abs();

@@ -5,6 +5,10 @@
 //! another sensor or backup ventilation, and only where ventilating on would harm the latched safe state, which an operator
 //! ends ([`SupervisorState::clear`]). The learned part of a command is applied only in ticks with a fresh, plausible reading,
 //! and changes no faster than [`RESIDUAL_SLEW`].
+//!
+//! A tick of a breath is [`Supervisor::check`], whose [`Belief`] contains all that the tick may use;
+//! [`Supervisor::command`], which takes it back with a controller's output; and [`Supervisor::end_tick`]. Outside a
+//! breath it is [`Supervisor::watch`] and [`Supervisor::rest`].
 
 mod state;
 
@@ -20,14 +24,15 @@ use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::pressure_monitor::{PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::responses::{Response, Responses};
-use super::source::{PressureSource, SourceState};
+use super::source::{PressureSource, Reading, SourceState};
 use super::volume_monitor::{VolumeMonitor, VolumeState};
 use super::volumes::{BreathVolumes, Volumes};
-use crate::breath::{Breath, Phase, period_s};
+use crate::breath::{Breath, Moment, period_s};
 use crate::control::{COMMAND_MAX, ControlOutput};
 use crate::math;
 use crate::sensor::Readings;
 use crate::settings::{LIMIT_MARGIN, Settings};
+use state::{Cut, Start};
 
 /// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms.
 pub const RESIDUAL_SLEW: f32 = 25_000.0;
@@ -76,9 +81,8 @@ pub struct Supervisor {
     emptied: u32,
 }
 
-/// State of the monitors, of the responses and of the latched fault.
-#[derive(Clone, Debug, PartialEq)]
-#[expect(clippy::struct_excessive_bools, reason = "independent findings, each with a name of its own")]
+/// State of the monitors, of the responses and of the latched fault; at first without findings, and with safe valves.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SupervisorState {
     fault: Option<Fault>,
     indications: Indications,
@@ -93,38 +97,46 @@ pub struct SupervisorState {
     ladder: Ladder,
     /// Settings of the running breath.
     settings: Option<Settings>,
-    /// Whether no pressure sensor is sound, whether the one in use is too noisy, and whether two sound ones differ.
-    lost: bool,
-    noisy: bool,
-    doubtful: bool,
+    /// What the sensor in use read in the last tick.
+    reading: Reading,
     /// While the reading does not respond to the gas: inspirations in a row to which it did.
     unresponsive: Option<u32>,
-    /// Whether an effort has started the running breath, or starts the next one.
-    triggered: bool,
-    triggers: bool,
-    /// Whether the inspiration was ended at the pressure limit, and whether by the gas, not by the patient.
-    cut: bool,
-    strike: bool,
-    /// Breaths in a row that were.
+    /// What has started the running breath or, at its end, the next one.
+    start: Start,
+    cut: Cut,
+    /// Breaths in a row that were cut.
     cuts: u32,
     missed: u32,
-    proven: bool,
     /// Learned part of the last command, percent.
     learned: f32,
     applied: f32,
-    /// Ticks for which the expiratory valve has been commanded open.
-    open: u32,
+    /// Ticks for which the expiratory valve has been commanded open; none before the first command.
+    open: Option<u32>,
 }
 
-/// What the supervisor knows about the pressure of a tick.
+/// What a tick of a breath may use: the pressure, and the responses to the findings so far.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Belief {
-    /// Nothing yet, or a fault is latched: the valves stay safe.
-    Nothing,
-    /// The pressure to control with, cmH2O.
-    Pressure(f32),
-    /// No sensor is sound: backup ventilation.
-    Lost,
+pub struct Belief<'a> {
+    /// The tick.
+    pub moment: Moment<'a>,
+    /// The pressure to control with, cmH2O; PEEP without a sound sensor.
+    pub pressure: f32,
+    /// The reading to record, cmH2O: that of the sensor in use; where another pressure stands in, the airway's.
+    pub reading: f32,
+    /// The pressure in which an effort shows, cmH2O: NaN unless read in this tick from a connected patient.
+    pub effort: f32,
+    /// Level of the ladder that commands the inspiratory valve.
+    pub level: Level,
+    /// Whether the inspiration was ended at the pressure limit.
+    pub cut: bool,
+    /// Rise of PIP with a baseline that stays above PEEP, cmH2O.
+    pub pip_shift: f32,
+    /// Command that holds PEEP against a leak, percent.
+    pub compensation: f32,
+    /// Command of backup ventilation, percent; 0 outside its inspirations.
+    pub backup: f32,
+    /// Whether the learned part of a command is trusted.
+    proven: bool,
 }
 
 impl Supervisor {
@@ -154,7 +166,7 @@ impl Supervisor {
     }
 
     /// Level of the ladder that commands the inspiratory valve.
-    pub fn level(&self, state: &SupervisorState) -> Level {
+    fn level(&self, state: &SupervisorState) -> Level {
         self.responses().level(state.level())
     }
 
@@ -162,113 +174,147 @@ impl Supervisor {
     pub fn missed(&self, state: &mut SupervisorState, ticks: u32) {
         state.missed = state.missed.saturating_add(ticks);
         if state.missed >= MISSED_MAX {
-            self.found(state, Fault::MissedTicks);
+            self.report(state, Fault::MissedTicks);
         }
     }
 
-    /// Raises an alarm that another part of the device has found.
-    pub fn raise(&self, state: &mut SupervisorState, fault: Fault) {
-        self.found(state, fault);
+    /// Checks the readings of a tick of a breath. None before the first reading and while a fault is latched: then
+    /// the valves stay safe.
+    #[inline]
+    pub fn check<'a>(
+        &self,
+        state: &mut SupervisorState,
+        readings: &Readings,
+        moment: Moment<'a>,
+    ) -> Option<Belief<'a>> {
+        let expected = self.expected(state, readings.flow, &moment);
+        let doubtful = self.check_readings(state, readings, moment.breath, expected);
+        self.check_tick(state, readings, &moment, doubtful);
+        self.belief(state, readings, moment)
     }
 
-    /// Checks the readings of one tick. `tick` is that of the running breath, none while no breath runs.
-    #[inline]
-    pub fn check(
+    /// Checks the readings of a tick in which no breath runs.
+    pub fn watch(&self, state: &mut SupervisorState, readings: &Readings, breath: &Breath) {
+        self.check_readings(state, readings, breath, Expected::Rest);
+    }
+
+    /// Checks readings; whether the sensor in use is doubtful.
+    fn check_readings(
         &self,
         state: &mut SupervisorState,
         readings: &Readings,
         breath: &Breath,
-        tick: Option<u32>,
-    ) -> Belief {
+        expected: Expected,
+    ) -> bool {
         state.indications.tick(HOLD_BREATHS * breath.total_ticks());
-        let expected = self.expected(state, readings.flow, breath, tick);
-        let flow = state.lung.valve_flow();
-        let chosen = self.source.check(&mut state.source, readings, expected, flow);
-        (state.proven, state.lost) = (chosen.fresh, chosen.lost);
-        (state.noisy, state.doubtful) = (chosen.noisy, chosen.doubtful);
+        let chosen = self.source.check(&mut state.source, readings, expected, state.lung.valve_flow());
+        state.reading = chosen.reading;
         for fault in chosen.findings.into_iter().flatten() {
-            self.found(state, fault);
+            self.report(state, fault);
         }
-        if let (Some(pressure), true) = (chosen.pressure, chosen.fresh) {
-            self.check_pressure(state, pressure, breath);
+        if let Some(fault) = chosen.replaced {
+            self.indicate(state, fault);
         }
-        if let Some(tick) = tick {
-            self.check_tick(state, chosen.pressure, readings, breath, tick);
+        if let Reading::Fresh(pressure) = chosen.reading {
+            self.check_pressure(state, pressure, breath.settings());
         }
-        match chosen.pressure {
-            _ if state.fault.is_some() => Belief::Nothing,
-            Some(pressure) => Belief::Pressure(pressure),
-            None if chosen.lost => Belief::Lost,
-            None => Belief::Nothing,
-        }
+        chosen.doubtful
+    }
+
+    /// What a tick may use after its checks.
+    fn belief<'a>(
+        &self,
+        state: &SupervisorState,
+        readings: &Readings,
+        moment: Moment<'a>,
+    ) -> Option<Belief<'a>> {
+        let (pressure, fresh) = match state.reading {
+            _ if state.fault.is_some() => return None,
+            Reading::None => return None,
+            Reading::Fresh(pressure) => (pressure, true),
+            Reading::Bridged(pressure) => (pressure, false),
+            // No controller sees it: backup ventilation commands.
+            Reading::Lost => (moment.settings().peep, false),
+        };
+        debug_assert!(!pressure.is_nan(), "what is believed is a number");
+        let (level, cut) = (self.level(state), state.cut());
+        let connected = !state.breath.is_disconnected();
+        let backs_up = level == Level::Backup && moment.inspires() && !cut;
+        Some(Belief {
+            moment,
+            pressure,
+            reading: if fresh { pressure } else { readings.airway },
+            effort: if fresh && connected { pressure } else { f32::NAN },
+            level,
+            cut,
+            pip_shift: state.expiration.shift(moment.breath),
+            compensation: state.expiration.compensation(),
+            backup: if backs_up { self.backup_command(state, &moment) } else { 0.0 },
+            proven: fresh && level == Level::Learned,
+        })
     }
 
     /// The course of the pressure that the commands of the last ticks predict.
-    fn expected(&self, state: &SupervisorState, flow: f32, breath: &Breath, tick: Option<u32>) -> Expected {
-        let Some(tick) = tick else { return Expected::Rest };
-        if state.open >= self.opened {
-            return Expected::expiration(breath.settings().peep, flow);
+    fn expected(&self, state: &SupervisorState, flow: f32, moment: &Moment) -> Expected {
+        if state.open() >= self.opened {
+            return Expected::expiration(moment.settings().peep, flow);
         }
-        // Until the lung estimate has begun with the inspiration, it tells of the last one.
-        let inspires = tick > 0 && breath.phase(tick) == Phase::Inspiration && !state.cut;
-        if inspires { Expected::inspiration(breath.target(tick), state.lung.growth()) } else { Expected::Any }
+        // Until the lung estimate has begun with the inspiration, it is that of the last one.
+        let inspires = moment.tick > 0 && moment.inspires() && !state.cut();
+        if inspires { Expected::inspiration(moment.target(), state.lung.growth()) } else { Expected::Any }
     }
 
-    fn check_pressure(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
-        let settings = breath.settings();
+    fn check_pressure(&self, state: &mut SupervisorState, pressure: f32, settings: &Settings) {
         let (limit, peep) = (settings.pressure_limit, settings.peep);
-        let input = PressureInput { pressure, limit, peep, venting: state.open > 0 };
+        let input = PressureInput { pressure, limit, peep, venting: state.open() > 0 };
         match self.pressure.check(&mut state.pressure, &input) {
             PressureFinding::Normal => {}
+            PressureFinding::EndInspiration if state.cut() => {}
             PressureFinding::EndInspiration => {
-                if !state.cut {
-                    state.strike = state.lung.explains(0.5 * (limit + settings.pip));
-                    if state.open == 0 {
-                        self.lung.end_inspiration(&mut state.lung, state.triggered);
-                    }
+                state.cut.end(state.lung.explains(0.5 * (limit + settings.pip)));
+                if state.open() == 0 {
+                    self.lung.end_inspiration(&mut state.lung, state.start == Start::Effort);
                 }
-                state.cut = true;
             }
-            PressureFinding::Alarm(fault) => self.found(state, fault),
+            PressureFinding::Alarm(fault) => {
+                self.report(state, fault);
+            }
         }
     }
 
     /// Checks a tick of a breath; without a pressure the lung estimate goes on alone.
-    fn check_tick(
-        &self,
-        state: &mut SupervisorState,
-        pressure: Option<f32>,
-        readings: &Readings,
-        breath: &Breath,
-        tick: u32,
-    ) {
+    fn check_tick(&self, state: &mut SupervisorState, readings: &Readings, moment: &Moment, doubtful: bool) {
+        let (pressure, settings) = (state.reading.pressure(), moment.settings());
         // The first tick has enough to do.
-        match tick {
-            0 => self.start_breath(state, pressure, breath.settings()),
-            1 => self.learn_leak(state, breath.settings()),
-            2 => self.check_volumes(state, breath.settings()),
+        match moment.tick {
+            0 => self.start_breath(state, pressure, settings),
+            1 => self.learn_leak(state, settings),
+            2 => self.check_volumes(state, settings),
             _ => {}
         }
-        let leak = state.expiration.leak();
-        state.volumes.add(readings.flow, pressure.unwrap_or(f32::NAN), leak, breath.period_s());
+        debug_assert!(
+            state.settings.is_none_or(|begun| begun == *settings),
+            "no breath changes while it runs"
+        );
+        let (leak, period) = (state.expiration.leak(), moment.breath.period_s());
+        state.volumes.add(readings.flow, pressure.unwrap_or(f32::NAN), leak, period);
         if state.level() == Level::Backup {
-            self.found(state, Fault::BackupVentilation);
+            self.report(state, Fault::BackupVentilation);
         }
-        let inspires = breath.phase(tick) == Phase::Inspiration;
-        if inspires {
-            state.backup.count(readings.flow, state.lung.valve_flow(), breath.period_s());
+        if moment.inspires() {
+            state.backup.count(readings.flow, state.lung.valve_flow(), period);
         }
         match pressure {
-            Some(pressure) => self.check_breath(state, pressure, readings, breath, tick),
-            None if inspires => {
+            Some(pressure) => self.check_breath(state, pressure, readings, moment, doubtful),
+            None if moment.inspires() => {
                 let by_flow = self.responses().has(Response::BackupByFlow) && state.backup.is_flow_sound();
                 self.lung.deliver(&mut state.lung, by_flow.then_some(readings.flow));
             }
             None => {}
         }
-        self.source.record(&mut state.source, breath, tick, self.breath.end_of_phase(), readings);
-        if tick + 1 == breath.total_ticks() {
-            self.compare_sensors(state, breath, false);
+        self.source.record(&mut state.source, moment, self.breath.end_of_phase(), readings);
+        if moment.left() == 1 {
+            self.compare_sensors(state, settings, Start::Clock);
         }
     }
 
@@ -283,29 +329,43 @@ impl Supervisor {
     fn check_volumes(&self, state: &mut SupervisorState, settings: &Settings) {
         let findings = self.volume.check(&mut state.volume, &state.volumes, settings);
         for fault in findings.into_iter().flatten() {
-            self.found(state, fault);
+            self.report(state, fault);
         }
     }
 
-    fn compare_sensors(&self, state: &mut SupervisorState, breath: &Breath, triggered: bool) {
-        let (peep, flow) = (breath.settings().peep, state.lung.valve_flow());
-        if self.source.compare(&mut state.source, peep, flow, triggered) {
-            self.found(state, Fault::SensorsDisagree);
+    /// Compares the sensors at the end of an expiration, before a start of the next breath.
+    fn compare_sensors(&self, state: &mut SupervisorState, settings: &Settings, next: Start) {
+        let flow = state.lung.valve_flow();
+        if self.source.compare(&mut state.source, settings.peep, flow, next == Start::Effort) {
+            self.report(state, Fault::SensorsDisagree);
         }
     }
 
-    /// Ends an expiration at a tick, before the next breath is due, because the patient inhales.
-    pub fn triggered(&self, state: &mut SupervisorState, breath: &Breath, tick: u32) {
-        state.triggers = true;
-        if tick + 1 >= breath.total_ticks() {
-            return;
+    /// Ends a tick of a breath; whether the next one starts a breath, because it is due or the patient inhales
+    /// (`effort`).
+    pub fn end_tick(&self, state: &mut SupervisorState, moment: &Moment, effort: bool) -> bool {
+        let due = moment.left() <= 1;
+        if effort && !due {
+            self.triggered(state, moment);
         }
-        self.compare_sensors(state, breath, true);
-        let emptied = tick.saturating_sub(breath.inspiration_ticks()) >= self.emptied;
+        let ends = effort || (due && !self.expiration.goes_on(&state.expiration, &moment.next()));
+        if ends {
+            state.start = if effort { Start::Effort } else { Start::Clock };
+        }
+        debug_assert!(!effort || !moment.inspires(), "an effort ends no inspiration");
+        ends
+    }
+
+    /// Ends an expiration before the next breath is due, because the patient inhales.
+    fn triggered(&self, state: &mut SupervisorState, moment: &Moment) {
+        let settings = moment.settings();
+        self.compare_sensors(state, settings, Start::Effort);
+        let emptied = moment.tick.saturating_sub(moment.breath.inspiration_ticks()) >= self.emptied;
         let inhales = state.volumes.surge() > INHALES;
-        self.expiration.triggered(&mut state.expiration, breath.settings().peep, emptied, inhales);
-        if let Some(fault) = self.breath.triggered(&mut state.breath, breath, emptied, state.cut) {
-            self.found(state, fault);
+        self.expiration.triggered(&mut state.expiration, settings.peep, emptied, inhales);
+        let cut = state.cut();
+        if let Some(fault) = self.breath.triggered(&mut state.breath, settings.peep, emptied, cut) {
+            self.report(state, fault);
         }
     }
 
@@ -314,28 +374,32 @@ impl Supervisor {
         state: &mut SupervisorState,
         pressure: f32,
         readings: &Readings,
-        breath: &Breath,
-        tick: u32,
+        moment: &Moment,
+        doubtful: bool,
     ) {
-        let inspires = breath.phase(tick) == Phase::Inspiration;
-        if inspires && !state.cut && self.lung.check(&mut state.lung, pressure) {
-            self.unresponsive(state, pressure, readings, breath.settings());
+        let cut = state.cut();
+        if moment.inspires() && !cut && self.lung.check(&mut state.lung, pressure) {
+            self.unresponsive(state, pressure, readings, moment.settings());
         }
-        let (command, volume) = (state.applied, state.lung.volume());
-        let leaks = state.volumes.expired_share().is_some_and(|share| share < TIGHT);
-        let last = state.volumes.breath();
-        let (cut, reached) = (state.cut, state.volumes.inspired());
-        let capped = self.level(state) == Level::CappedPid;
-        let input =
-            BreathInput { breath, tick, cut, pressure, command, capped, volume, reached, leaks, last };
+        let input = BreathInput {
+            moment: *moment,
+            cut,
+            pressure,
+            command: state.applied,
+            capped: self.level(state) == Level::CappedPid,
+            volume: state.lung.volume(),
+            reached: state.volumes.inspired(),
+            leaks: state.volumes.expired_share().is_some_and(|share| share < TIGHT),
+            last: state.volumes.breath(),
+        };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
-            self.found(state, fault);
+            self.report(state, fault);
         }
-        let unsure = state.doubtful || state.breath.is_disconnected();
-        self.expiration.observe(&mut state.expiration, breath, tick, pressure, unsure);
-        if tick + 1 == breath.inspiration_ticks() && !state.cut {
+        let unsure = doubtful || state.breath.is_disconnected();
+        self.expiration.observe(&mut state.expiration, moment, pressure, unsure);
+        if moment.ends_inspiration() && !cut {
             self.source.at_plateau(&mut state.source, readings);
-            self.inspired(state, pressure, breath);
+            self.inspired(state, pressure, moment.breath);
         }
     }
 
@@ -351,29 +415,32 @@ impl Supervisor {
     ) {
         let flow = state.lung.flow();
         if self.source.unresponsive(&mut state.source, readings, flow) {
-            return self.found(state, Fault::SensorsDisagree);
+            self.report(state, Fault::SensorsDisagree);
+            return;
         }
         let rise = pressure - settings.peep;
         let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
         let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < EFFORT;
         let reaches = flow < LITTLE_FLOW || readings.flow >= REACHES * flow;
-        if !(reaches && drawn_in && state.source.are_both_sound()) {
-            self.found(state, Fault::NoResponse);
+        let answered = reaches && drawn_in && state.source.are_both_sound();
+        if !answered && self.report(state, Fault::NoResponse) {
+            state.unresponsive = state.unresponsive.or(Some(0));
         }
     }
 
     /// Ends an inspiration that was not cut at the limit.
     fn inspired(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
-        self.lung.end_inspiration(&mut state.lung, state.triggered);
+        self.lung.end_inspiration(&mut state.lung, state.start == Start::Effort);
         let settings = breath.settings();
-        let (rise, wanted) = (pressure - settings.peep, settings.pip - settings.peep);
+        let (rise, whole) = (pressure - settings.peep, settings.pip - settings.peep);
         if let Some(responses) = &mut state.unresponsive {
-            *responses = if rise >= RESPONSE * wanted { *responses + 1 } else { 0 };
+            debug_assert!(*responses < RESPONSES, "so many end backup ventilation");
+            *responses = in_a_row(*responses, rise >= RESPONSE * whole);
             if *responses >= RESPONSES {
                 state.unresponsive = None;
                 state.ladder.step_down(Level::Pid);
             }
-        } else if rise >= GOOD_RISE * wanted {
+        } else if rise >= GOOD_RISE * whole {
             state.lung.forget_false(pressure);
             state.backup.accept(breath);
         }
@@ -381,145 +448,118 @@ impl Supervisor {
 
     /// Updates the ladder with the breath that has ended, and starts the next one.
     fn start_breath(&self, state: &mut SupervisorState, pressure: Option<f32>, settings: &Settings) {
-        if let Some(fault) = state.ladder.breath_ended(state.cut && state.strike) {
-            self.found(state, fault);
+        if let Some(fault) = state.ladder.breath_ended(state.cut == Cut::ByGas) {
+            self.report(state, fault);
         }
-        state.cuts = in_a_row(state.cuts, state.cut);
+        state.cuts = in_a_row(state.cuts, state.cut());
         if state.cuts >= CUTS_MAX {
-            self.found(state, Fault::HighPressure);
+            self.report(state, Fault::HighPressure);
         }
         if state.settings.replace(*settings).is_some_and(|before| before != *settings) {
             state.breath.settings_changed();
             state.expiration.settings_changed();
             state.volume.settings_changed();
         }
-        (state.cut, state.strike, state.missed, state.learned) = (false, true, 0, 0.0);
-        state.triggered = core::mem::take(&mut state.triggers);
+        (state.cut, state.missed, state.learned) = (Cut::None, 0, 0.0);
         let pressure = pressure.filter(|_| !state.breath.is_disconnected());
         state.lung.start_inspiration(pressure.unwrap_or(settings.peep), settings.peep);
         state.backup.start_breath();
         state.volumes.start_breath();
         let expired = state.volumes.expired_share();
         if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired) {
-            self.found(state, fault);
+            self.report(state, fault);
         }
         // Without the gas of a leak, more than that of what a patient takes in comes out again.
         let stays = |breath: BreathVolumes| breath.expired < BLOCKED_WITHOUT_LEAK * breath.inspired;
         let blocked =
             expired.is_some_and(|share| share < BLOCKED) && state.volumes.breath().is_some_and(stays);
         if self.pressure.is_sustained(&state.pressure) && blocked {
-            self.found(state, Fault::SustainedPressure);
+            self.report(state, Fault::SustainedPressure);
         }
     }
 
-    /// Raises an alarm, and responds as specified in its row of the alarm table.
-    fn found(&self, state: &mut SupervisorState, fault: Fault) {
-        if !self.monitors.has(fault) || state.fault.is_some() {
-            return;
+    /// Raises an alarm, and responds as its row of the alarm table says; false if its monitor is disabled or a fault
+    /// is latched.
+    pub fn report(&self, state: &mut SupervisorState, fault: Fault) -> bool {
+        if !self.indicate(state, fault) {
+            return false;
         }
-        state.indications.found(fault);
         match fault.alarm().action {
             Action::Pid => state.ladder.step_down(Level::Pid),
-            // A noisy sensor is replaced by the other one, if that is sound.
-            Action::CappedPid if fault != Fault::ReadingNoisy || state.noisy => {
-                state.ladder.step_down(Level::CappedPid);
-            }
-            Action::Backup if fault == Fault::NoResponse => {
-                state.unresponsive = state.unresponsive.or(Some(0));
-            }
+            Action::CappedPid => state.ladder.step_down(Level::CappedPid),
             Action::Vent => state.fault = Some(fault),
-            // The other findings about sensors have taken them out of use already.
-            Action::Report | Action::CappedPid | Action::Backup => {}
+            // A finding about a sensor has taken it out of use already.
+            _ => {}
         }
+        true
     }
 
-    /// Whether an expiration goes on at a tick at which the next breath is due.
-    pub fn expiration_goes_on(&self, state: &SupervisorState, breath: &Breath, tick: u32) -> bool {
-        self.expiration.goes_on(&state.expiration, breath, tick)
+    /// Raises an alarm; false as for [`Self::report`].
+    fn indicate(&self, state: &mut SupervisorState, fault: Fault) -> bool {
+        let counts = self.monitors.has(fault) && state.fault.is_none();
+        if counts {
+            state.indications.found(fault);
+        }
+        counts
     }
 
     /// The command of backup ventilation in a tick of an inspiration, percent: none while the lung estimate predicts a
     /// pressure close to the limit.
-    pub fn backup_command(&self, state: &SupervisorState, breath: &Breath, tick: u32) -> f32 {
-        let highest = breath.settings().pressure_limit - LIMIT_MARGIN;
+    fn backup_command(&self, state: &SupervisorState, moment: &Moment) -> f32 {
+        let highest = moment.settings().pressure_limit - LIMIT_MARGIN;
         let responds = self.responses().has(Response::Backup);
         let safe = responds && state.lung.predicted_pressure().is_none_or(|pressure| pressure < highest);
         let by_flow = self.responses().has(Response::BackupByFlow);
-        if safe { state.backup.command(breath, tick, by_flow) } else { 0.0 }
-    }
-
-    /// Records the command of a tick of a pressure-controlled inspiration for backup ventilation.
-    #[inline]
-    pub fn record(&self, state: &mut SupervisorState, breath: &Breath, tick: u32) {
-        state.backup.record(breath, tick, state.applied);
+        if safe { state.backup.command(moment, by_flow) } else { 0.0 }
     }
 
     /// The safety filter: converts the trusted part of a controller's output to a valve command. The command is the safe one
     /// while a fault is latched and for the rest of an inspiration that was ended at the pressure limit.
     #[inline]
-    pub fn command(&self, state: &mut SupervisorState, output: ControlOutput, u_out: bool) -> ValveCommand {
-        let u_in = self.trusted_part(state, output);
-        let vents = state.fault.is_some() || (state.cut && !u_out);
+    pub fn command(
+        &self,
+        state: &mut SupervisorState,
+        belief: &Belief,
+        output: ControlOutput,
+        u_out: bool,
+    ) -> ValveCommand {
+        let u_in = self.trusted_part(state, belief, output);
+        let vents = state.fault.is_some() || (belief.cut && !u_out);
         let command = if vents { ValveCommand::SAFE } else { ValveCommand::limited(u_in, u_out) };
-        (state.applied, state.open) = (command.u_in(), in_a_row(state.open, command.u_out()));
-        self.lung.applied(&mut state.lung, command.u_in());
+        self.applied(state, command);
+        if !command.u_out() {
+            state.backup.record(&belief.moment, command.u_in());
+        }
         command
+    }
+
+    /// Takes note of a command.
+    #[inline]
+    fn applied(&self, state: &mut SupervisorState, command: ValveCommand) {
+        (state.applied, state.open) = (command.u_in(), Some(in_a_row(state.open(), command.u_out())));
+        self.lung.applied(&mut state.lung, command.u_in());
     }
 
     /// The trusted part of the output, percent. The learned part fades in and out at the slew, so that no hand-over is a
     /// larger step; the cap takes effect at once.
-    fn trusted_part(&self, state: &mut SupervisorState, output: ControlOutput) -> f32 {
-        let level = self.level(state);
-        let trusted = state.proven && level == Level::Learned;
-        let wanted = if trusted { output.command - output.base } else { 0.0 };
-        let change = wanted - state.learned;
-        if trusted && change.abs() <= self.slew {
-            state.learned = wanted;
+    fn trusted_part(&self, state: &mut SupervisorState, belief: &Belief, output: ControlOutput) -> f32 {
+        let learned = if belief.proven { output.command - output.base } else { 0.0 };
+        let change = learned - state.learned;
+        if belief.proven && change.abs() <= self.slew {
+            state.learned = learned;
             return output.command;
         }
         state.learned += math::limit(change, -self.slew, self.slew);
-        let capped = level == Level::CappedPid || state.breath.is_disconnected();
+        debug_assert!(state.learned.is_finite(), "it moves in steps, whatever a controller computes");
+        let capped = belief.level == Level::CappedPid || state.breath.is_disconnected();
         let cap = if capped { CAP } else { COMMAND_MAX };
         (output.base + state.learned).min(cap)
     }
 
     /// The safe command, for ticks without a breath.
     pub fn rest(&self, state: &mut SupervisorState) -> ValveCommand {
-        self.command(state, ControlOutput::default(), true)
-    }
-}
-
-impl Default for SupervisorState {
-    /// No findings yet; the valves are safe.
-    fn default() -> Self {
-        Self {
-            fault: None,
-            indications: Indications::default(),
-            source: SourceState::default(),
-            pressure: PressureState::default(),
-            breath: BreathState::default(),
-            lung: LungState::default(),
-            expiration: ExpirationState::default(),
-            volumes: Volumes::default(),
-            volume: VolumeState::default(),
-            backup: Backup::new(),
-            ladder: Ladder::default(),
-            settings: None,
-            lost: false,
-            noisy: false,
-            doubtful: false,
-            unresponsive: None,
-            triggered: false,
-            triggers: false,
-            cut: false,
-            strike: true,
-            cuts: 0,
-            missed: 0,
-            proven: false,
-            learned: 0.0,
-            applied: 0.0,
-            open: 1,
-        }
+        self.applied(state, ValveCommand::SAFE);
+        ValveCommand::SAFE
     }
 }
 

@@ -92,6 +92,7 @@ impl VolumeMonitor {
             return [None; 4];
         }
         let seconds = volumes.last_ticks() as f32 * self.period;
+        debug_assert!(seconds > 0.0);
         let Some(breath) = volumes.breath() else {
             let lost = state.exists || has_limits(settings);
             *state =
@@ -161,6 +162,7 @@ fn minute_volume(
     settings: &Settings,
 ) -> Option<Fault> {
     [state.covers, state.settled] = [state.covers, state.settled].map(|time| (time + seconds).min(AVERAGED));
+    debug_assert!(state.covers <= state.settled, "new settings restart both");
     // A plain mean at first, so that no breath counts more than another.
     let weight = seconds / state.covers;
     let per_minute = LITRES_PER_MINUTE / seconds;

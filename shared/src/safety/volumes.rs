@@ -35,6 +35,7 @@ impl LungVolumes {
             self.expired -= self.offset + PLAY;
             self.offset = -PLAY;
         }
+        debug_assert!(self.offset.abs() <= PLAY || self.offset.is_nan());
     }
 
     /// The volumes of the breath that ends here; the next one starts.
@@ -94,6 +95,7 @@ impl Volumes {
             return;
         }
         self.measured += 1;
+        debug_assert!(self.measured <= self.ticks);
         self.flow = flow;
         self.smooth += (period / SMOOTHING).min(1.0) * (flow - self.smooth);
         let volume = 1000.0 * flow * period;

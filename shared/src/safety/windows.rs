@@ -4,7 +4,7 @@
 //! that ends in time is judged by its last window. One that an effort ends is judged by the last window but one, which lies
 //! before the effort.
 
-use crate::breath::{Breath, Phase};
+use crate::breath::Moment;
 
 /// Means of `N` signals over the windows of the running expiration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,12 +25,12 @@ impl<const N: usize> Windows<N> {
     /// Adds the values of a tick of a breath, if there are any and the tick belongs to a window of `length` ticks. The windows begin
     /// with the fall from PIP: an effort may end the expiration there.
     #[inline]
-    pub fn add(&mut self, breath: &Breath, tick: u32, length: u32, values: Option<[f32; N]>) {
-        if tick == 0 {
+    pub fn add(&mut self, moment: &Moment, length: u32, values: Option<[f32; N]>) {
+        if moment.tick == 0 {
             *self = Self::default();
         }
-        let left = breath.total_ticks().saturating_sub(tick);
-        let belongs = left > 0 && (left <= length || breath.phase(tick) != Phase::Inspiration);
+        let left = moment.left();
+        let belongs = left > 0 && (left <= length || !moment.inspires());
         if !belongs {
             return;
         }
@@ -38,6 +38,7 @@ impl<const N: usize> Windows<N> {
             self.sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
             self.count += 1;
         }
+        debug_assert!(self.count <= length, "a window ends after its length");
         if (left - 1).is_multiple_of(length) {
             let Self { sums, count, last, .. } = core::mem::take(self);
             let mean = (count > 0).then(|| sums.map(|sum| sum / count as f32));
@@ -59,7 +60,7 @@ impl<const N: usize> Windows<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use crate::breath::{Breath, DEFAULT_PERIOD_US, paper_settings};
     use crate::settings::Settings;
 
     const LENGTH: u32 = 50;
@@ -67,7 +68,7 @@ mod tests {
     /// The windows after a breath up to a tick, of a signal that is its tick.
     fn until(breath: &Breath, end: u32, value: impl Fn(u32) -> Option<f32>) -> Windows<1> {
         let mut windows = Windows::default();
-        (0..end).for_each(|tick| windows.add(breath, tick, LENGTH, value(tick).map(|value| [value])));
+        (0..end).for_each(|tick| windows.add(&breath.at(tick), LENGTH, value(tick).map(|value| [value])));
         windows
     }
 
@@ -97,7 +98,7 @@ mod tests {
         assert_eq!(until(&breath, 1050, |_| Some(1.0)).last(), Some([1.0]));
         assert_eq!(until(&breath, 1099, |_| Some(1.0)).before(), None);
         let mut windows = until(&breath, 3000, |_| Some(1.0));
-        windows.add(&breath, 0, LENGTH, Some([1.0]));
+        windows.add(&breath.at(0), LENGTH, Some([1.0]));
         assert_eq!(windows, Windows::default());
     }
 

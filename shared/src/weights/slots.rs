@@ -202,6 +202,8 @@ impl<F: NorFlash> Slots<F> {
             Some((Slot::B, SlotState::Valid { generation, .. })) => (Slot::A, generation.wrapping_add(1)),
             _ => (Slot::A, 0),
         };
+        debug_assert!(newest != Some(slot), "the newest image stays");
+        debug_assert!(newest.is_none() || matches!(states[1 - slot as usize], SlotState::Valid { .. }));
         let start = self.starts[slot as usize];
         flash::erase(&mut self.flash, start, SLOT_BYTES)?;
         self.refused[slot as usize] = None;

@@ -54,7 +54,7 @@ enum Kind {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Phase {
+enum Stage {
     Rest,
     Fill,
     Spread,
@@ -66,8 +66,8 @@ enum Phase {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Manoeuvre {
     kind: Kind,
-    phase: Phase,
-    /// Time in the phase, s.
+    stage: Stage,
+    /// Time in the stage, s.
     time: f32,
     /// Pressure at the end of the rest, at the start of the hold, and at the start of a plateau, cmH2O.
     base: f32,
@@ -117,7 +117,7 @@ impl Manoeuvre {
         let none = StepResult::from(Outcome::NotRun);
         Self {
             kind,
-            phase: Phase::Rest,
+            stage: Stage::Rest,
             time: 0.0,
             base: 0.0,
             held: 0.0,
@@ -134,7 +134,8 @@ impl Manoeuvre {
     pub(super) fn step(&mut self, readings: &Readings, period_us: u32) -> Progress {
         let (pressure, period) = (readings.airway, period_us as f32 * 1e-6);
         self.time += period;
-        if (pressure.is_nan() || pressure >= CEILING) && self.phase != Phase::Release {
+        debug_assert!(self.time > 0.0 && self.time <= FILL_MAX + 1.0, "every stage ends");
+        if (pressure.is_nan() || pressure >= CEILING) && self.stage != Stage::Release {
             let finding = match (pressure.is_nan(), self.kind) {
                 (true, _) => Finding::NoReading,
                 (false, Kind::Relief) => Finding::ReliefLate,
@@ -142,37 +143,40 @@ impl Manoeuvre {
             };
             self.fail(finding, pressure);
         }
-        if self.kind == Kind::Circuit && self.phase != Phase::Rest && self.phase != Phase::Release {
+        if self.kind == Kind::Circuit && self.stage != Stage::Rest && self.stage != Stage::Release {
             // Overshoot of a sound valve is far less.
             if pressure - self.base > RISE_MAX {
                 self.fail(Finding::RisesByItself, pressure);
             }
         }
-        match self.phase {
-            Phase::Rest if self.time >= REST => {
+        match self.stage {
+            Stage::Rest if self.time >= REST => {
                 self.base = pressure;
                 self.plateau = (pressure, 0.0);
-                self.enter(Phase::Fill);
+                self.enter(Stage::Fill);
             }
-            Phase::Fill => self.fill(readings, period),
-            Phase::Spread if self.time >= SPREAD => {
+            Stage::Fill => self.fill(readings, period),
+            Stage::Spread if self.time >= SPREAD => {
                 self.held = pressure;
                 self.judge_fill(pressure);
             }
-            Phase::Hold if self.time >= HOLD => self.judge_hold(pressure),
-            Phase::Release if self.time >= RELEASE => return self.end(pressure),
-            Phase::Rest | Phase::Spread | Phase::Hold | Phase::Release => {}
+            Stage::Hold if self.time >= HOLD => self.judge_hold(pressure),
+            Stage::Release if self.time >= RELEASE => return self.end(pressure),
+            Stage::Rest | Stage::Spread | Stage::Hold | Stage::Release => {}
         }
-        let (u_in, u_out) = match self.phase {
-            Phase::Rest | Phase::Release => (0.0, true),
-            Phase::Fill => (FILL, false),
-            Phase::Spread | Phase::Hold => (0.0, false),
+        let (u_in, u_out) = match self.stage {
+            Stage::Rest | Stage::Release => (0.0, true),
+            Stage::Fill => (FILL, false),
+            Stage::Spread | Stage::Hold => (0.0, false),
         };
         Progress::Command(ValveCommand::of_test(u_in, u_out, pressure, CEILING))
     }
 
-    fn enter(&mut self, phase: Phase) {
-        (self.phase, self.time) = (phase, 0.0);
+    fn enter(&mut self, stage: Stage) {
+        use Stage::{Fill, Hold, Release, Rest, Spread};
+        let legal = [(Rest, Fill), (Fill, Spread), (Spread, Hold)].contains(&(self.stage, stage));
+        debug_assert!(legal || (self.stage != Release && stage == Release), "{:?} to {stage:?}", self.stage);
+        (self.stage, self.time) = (stage, 0.0);
     }
 
     /// Records a failure and releases the pressure.
@@ -181,7 +185,7 @@ impl Manoeuvre {
             Kind::Circuit => self.valves = failed(finding, value),
             Kind::Relief => self.second = failed(finding, value),
         }
-        self.enter(Phase::Release);
+        self.enter(Stage::Release);
     }
 
     fn fill(&mut self, readings: &Readings, period: f32) {
@@ -192,7 +196,7 @@ impl Manoeuvre {
         self.meter(readings.flow, period);
         if pressure - self.base >= RISE {
             self.rise_time = self.time;
-            self.enter(Phase::Spread);
+            self.enter(Stage::Spread);
         } else if self.time >= FILL_MAX {
             self.fail(Finding::NoRise, self.time);
         }
@@ -215,7 +219,7 @@ impl Manoeuvre {
                 pressure if pressure > RELIEF.1 => failed(Finding::ReliefLate, pressure),
                 pressure => passed(pressure),
             };
-            self.enter(Phase::Release);
+            self.enter(Stage::Release);
         } else if self.time >= RELIEF_MAX {
             self.fail(Finding::NoRise, pressure);
         }
@@ -235,7 +239,7 @@ impl Manoeuvre {
         } else {
             passed(compliance)
         };
-        self.enter(Phase::Hold);
+        self.enter(Stage::Hold);
     }
 
     fn judge_hold(&mut self, pressure: f32) {
@@ -245,7 +249,7 @@ impl Manoeuvre {
         } else if (change.is_nan() || change < -CHANGE) && self.second.outcome == Outcome::Passed {
             self.second = failed(Finding::Leak, -change);
         }
-        self.enter(Phase::Release);
+        self.enter(Stage::Release);
     }
 
     /// After the release: the expiratory valve has opened.

@@ -40,7 +40,7 @@ pub struct BootFindings {
 
 /// What runs now.
 #[derive(Clone, Copy, Debug)]
-enum Activity {
+enum Running {
     Nothing,
     Rest(Rest),
     Zero(Rest),
@@ -52,7 +52,7 @@ enum Activity {
 pub struct SelfTest {
     period_us: u32,
     results: [StepResult; Step::ALL.len()],
-    activity: Activity,
+    activity: Running,
     /// What the pressure sensors read at the pressure of the air, cmH2O: airway, outlet.
     zero: [f32; 2],
 }
@@ -61,7 +61,7 @@ impl SelfTest {
     /// A self-test that prevents no start: every step counts as not run, and none has to.
     pub fn none(period_us: u32) -> Self {
         let results = [StepResult::from(Outcome::NotRun); Step::ALL.len()];
-        Self { period_us, results, activity: Activity::Nothing, zero: [0.0; 2] }
+        Self { period_us, results, activity: Running::Nothing, zero: [0.0; 2] }
     }
 
     /// The self-test after a start of the chip; the step [`Step::Sensors`] runs from the first tick on.
@@ -80,7 +80,7 @@ impl SelfTest {
         test.set(Step::Weights, judged(Some(!damaged), Finding::Weights));
         test.set(Step::Memory, judged(boot.memory, Finding::Memory));
         test.set(Step::Sensors, Outcome::Runs);
-        test.activity = Activity::Rest(Rest::new(period_us));
+        test.activity = Running::Rest(Rest::new(period_us));
         test
     }
 
@@ -114,22 +114,23 @@ impl SelfTest {
     /// # Errors
     /// [`Refusal::SelfTestRuns`] while another check runs.
     pub fn begin(&mut self, check: Check) -> Result<(), Refusal> {
-        if let Activity::Zero(_) | Activity::Manoeuvre(_) = self.activity {
+        if let Running::Zero(_) | Running::Manoeuvre(_) = self.activity {
             return Err(Refusal::SelfTestRuns);
         }
+        debug_assert!(!self.moves_valves());
         self.activity = match check {
             Check::Zero => {
                 self.set(Step::Zero, Outcome::Runs);
-                Activity::Zero(Rest::new(self.period_us))
+                Running::Zero(Rest::new(self.period_us))
             }
             Check::Circuit => {
                 self.set(Step::Valves, Outcome::Runs);
                 self.set(Step::Circuit, Outcome::NotRun);
-                Activity::Manoeuvre(Manoeuvre::circuit())
+                Running::Manoeuvre(Manoeuvre::circuit())
             }
             Check::Relief => {
                 self.set(Step::Relief, Outcome::Runs);
-                Activity::Manoeuvre(Manoeuvre::relief())
+                Running::Manoeuvre(Manoeuvre::relief())
             }
         };
         Ok(())
@@ -137,14 +138,14 @@ impl SelfTest {
 
     /// Ends a running check without a result.
     pub fn abort(&mut self) {
-        if let Activity::Zero(_) | Activity::Manoeuvre(_) = self.activity {
+        if let Running::Zero(_) | Running::Manoeuvre(_) = self.activity {
             self.cancel(Outcome::NotRun);
         }
     }
 
     /// Whether a check moves the valves.
     pub fn moves_valves(&self) -> bool {
-        matches!(self.activity, Activity::Manoeuvre(_))
+        matches!(self.activity, Running::Manoeuvre(_))
     }
 
     #[cold]
@@ -159,9 +160,11 @@ impl SelfTest {
 
     /// Ends the running activity.
     fn finish(&mut self) {
+        let ended = |step: &Step| self.results[*step as usize].outcome != Outcome::Runs;
+        debug_assert!([Step::Zero, Step::Valves, Step::Circuit, Step::Relief].iter().all(ended));
         let passed =
             matches!(self.results[Step::Sensors as usize].outcome, Outcome::Passed | Outcome::NotRun);
-        self.activity = if passed { Activity::Nothing } else { Activity::Rest(Rest::new(self.period_us)) };
+        self.activity = if passed { Running::Nothing } else { Running::Rest(Rest::new(self.period_us)) };
     }
 
     /// The readings without the sensors' zeros.
@@ -181,7 +184,7 @@ impl SelfTest {
     #[inline]
     pub fn step(&mut self, readings: &Readings, settings: &Settings, alarm: bool) -> Option<ValveCommand> {
         match self.activity {
-            Activity::Nothing => None,
+            Running::Nothing => None,
             _ => self.run(readings, settings, alarm),
         }
     }
@@ -189,15 +192,15 @@ impl SelfTest {
     #[inline(never)]
     fn run(&mut self, readings: &Readings, settings: &Settings, alarm: bool) -> Option<ValveCommand> {
         match &mut self.activity {
-            Activity::Nothing => {}
-            Activity::Rest(rest) => {
+            Running::Nothing => {}
+            Running::Rest(rest) => {
                 if let Some(seen) = rest.add(readings) {
                     let result = seen.judge(settings.peep);
                     self.set(Step::Sensors, result);
                     self.finish();
                 }
             }
-            Activity::Zero(rest) => {
+            Running::Zero(rest) => {
                 if let Some(seen) = rest.add(readings) {
                     let (result, change) = seen.zero(self.zero);
                     self.zero = change;
@@ -205,8 +208,8 @@ impl SelfTest {
                     self.finish();
                 }
             }
-            Activity::Manoeuvre(_) if alarm => self.cancel(Outcome::Failed(Finding::Alarm)),
-            Activity::Manoeuvre(manoeuvre) => {
+            Running::Manoeuvre(_) if alarm => self.cancel(Outcome::Failed(Finding::Alarm)),
+            Running::Manoeuvre(manoeuvre) => {
                 let period_us = self.period_us;
                 let progress = manoeuvre.step(readings, period_us);
                 return self.manoeuvred(progress);

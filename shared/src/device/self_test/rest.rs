@@ -24,12 +24,12 @@ const ZERO: f32 = Quantity::SensorZero.bounds().1;
 
 /// Mean of the readings of a sensor that are numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Mean {
+struct NumberMean {
     sum: f32,
     numbers: u32,
 }
 
-impl Mean {
+impl NumberMean {
     fn add(&mut self, reading: f32) {
         if reading.is_finite() {
             self.sum += reading;
@@ -46,11 +46,11 @@ impl Mean {
 /// Readings of a pressure sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Pressure {
-    mean: Mean,
+    mean: NumberMean,
     /// The last two readings.
     last: [f32; 2],
     /// Second differences: they show noise, and neither a drift nor a patient.
-    noise: Mean,
+    noise: NumberMean,
 }
 
 impl Pressure {
@@ -77,7 +77,7 @@ pub(super) struct Rest {
     length: u32,
     airway: Pressure,
     outlet: Pressure,
-    flow: Mean,
+    flow: NumberMean,
 }
 
 impl Rest {
@@ -85,15 +85,17 @@ impl Rest {
     pub(super) fn new(period_us: u32) -> Self {
         let length = math::ticks(TIME, period_us).max(8);
         let (airway, outlet) = (Pressure::default(), Pressure::default());
-        Self { ticks: 0, length, airway, outlet, flow: Mean::default() }
+        Self { ticks: 0, length, airway, outlet, flow: NumberMean::default() }
     }
 
     /// Adds a tick; returns the observation at its end.
     pub(super) fn add(&mut self, readings: &Readings) -> Option<Seen> {
+        debug_assert!(self.ticks < self.length, "it ends once");
         self.airway.add(readings.airway, self.ticks);
         self.outlet.add(readings.outlet, self.ticks);
         self.flow.add(readings.flow);
         self.ticks += 1;
+        debug_assert!(self.airway.mean.numbers <= self.ticks);
         (self.ticks >= self.length).then_some(Seen(*self))
     }
 }

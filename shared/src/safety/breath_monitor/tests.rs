@@ -1,7 +1,7 @@
 //! Tests of the checks of each breath.
 
 use super::*;
-use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+use crate::breath::{Breath, DEFAULT_PERIOD_US, Phase, paper_settings};
 use std::vec::Vec;
 
 /// Input of the monitor in one breath: pressure and volume at the end of the inspiration, pressure at the end of the
@@ -50,8 +50,7 @@ impl Seen {
         };
         let cut = cut.is_some_and(|cut| tick >= cut);
         BreathInput {
-            breath,
-            tick,
+            moment: breath.at(tick),
             cut,
             pressure,
             command,
@@ -89,8 +88,8 @@ fn volumes(inspired: f32, expired: f32) -> BreathVolumes {
     BreathVolumes { inspired, expired, leaked: 0.0 }
 }
 
-fn inspires(input: &BreathInput<'_>) -> bool {
-    input.breath.phase(input.tick) == Phase::Inspiration
+fn inspires(input: &BreathInput) -> bool {
+    input.moment.inspires()
 }
 
 #[test]
@@ -139,7 +138,7 @@ fn an_expiration_that_an_effort_ends_is_judged_by_its_pressure_before() {
                 let input = BreathInput { pressure, ..GOOD.at(&breath, tick) };
                 assert_eq!(monitor.check(&mut state, &input), None);
             }
-            found = monitor.triggered(&mut state, &breath, end > 1800, false);
+            found = monitor.triggered(&mut state, breath.settings().peep, end > 1800, false);
         }
         found
     };
@@ -165,7 +164,7 @@ fn breaths_that_end_above_peep_add_up_however_they_end() {
             let seen = Seen { baseline: *pressure, before: *pressure, ..GOOD };
             let found = (0..*end).any(|tick| monitor.check(&mut state, &seen.at(&breath, tick)).is_some());
             let early = *end < breath.total_ticks();
-            found || (early && monitor.triggered(&mut state, &breath, false, false).is_some())
+            found || (early && monitor.triggered(&mut state, breath.settings().peep, false, false).is_some())
         };
         ends.iter().map(raises).collect::<Vec<_>>()
     };
@@ -339,7 +338,7 @@ fn a_breath_that_is_cut_short_tells_of_the_tube_alone_and_once() {
 
 #[test]
 fn a_phase_is_judged_by_the_mean_over_its_end() {
-    let at_last = |input: &BreathInput<'_>| input.tick + 1 == input.breath.inspiration_ticks();
+    let at_last = |input: &BreathInput| input.moment.ends_inspiration();
     let open = Seen { command: 100.0, ..GOOD };
     let one_low_reading = |input: &mut BreathInput<'_>| {
         if at_last(input) {
@@ -454,7 +453,7 @@ fn the_end_of_a_phase_is_its_last_fifty_milliseconds() {
     // A mean of 8.0 cmH2O is at the bound; a single reading lifts it if it counts.
     let high = |at: u32| {
         complaint_with(&[Seen { baseline: 8.0, ..GOOD }; 2], |input| {
-            if input.tick == at {
+            if input.moment.tick == at {
                 input.pressure = 20.0;
             }
         })

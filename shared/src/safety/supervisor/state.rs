@@ -1,11 +1,40 @@
-//! The supervisor's state as others see it: the alarms, the level of the ladder, and what the trigger and the control half ask.
+//! The supervisor's state as others see it: the alarms, the level of the ladder, and the running breath.
 
 use super::SupervisorState;
-use crate::breath::Breath;
 use crate::safety::alarms::Fault;
 use crate::safety::indications::Indications;
 use crate::safety::ladder::Level;
-use crate::sensor::Readings;
+use crate::safety::source::Reading;
+
+/// Whether the pressure limit has ended the running breath's inspiration, and what raised the pressure to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Cut {
+    /// It has not.
+    #[default]
+    None,
+    /// The gas.
+    ByGas,
+    /// The patient, who coughs.
+    ByPatient,
+}
+
+impl Cut {
+    /// Ends the inspiration, once in a breath.
+    pub(super) fn end(&mut self, by_gas: bool) {
+        debug_assert!(*self == Self::None, "an inspiration ends once");
+        *self = if by_gas { Self::ByGas } else { Self::ByPatient };
+    }
+}
+
+/// What starts a breath.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Start {
+    /// The clock.
+    #[default]
+    Clock,
+    /// An effort of the patient.
+    Effort,
+}
 
 impl SupervisorState {
     /// The latched fault.
@@ -30,23 +59,13 @@ impl SupervisorState {
 
     /// Level of the ladder that commands the inspiratory valve.
     pub fn level(&self) -> Level {
-        if self.lost || self.unresponsive.is_some() {
+        if self.reading == Reading::Lost || self.unresponsive.is_some() {
             Level::Backup
         } else if self.missed > 0 || self.breath.is_disconnected() {
             self.ladder.level().max(Level::Pid)
         } else {
             self.ladder.level()
         }
-    }
-
-    /// The reading to record: that of the sensor in use, `pressure`, unless it stands in for a missing one.
-    pub fn reading(&self, readings: &Readings, pressure: f32) -> f32 {
-        if self.proven { pressure } else { readings.airway }
-    }
-
-    /// The pressure in which an effort shows, cmH2O: NaN unless it is a reading of this tick from a connected patient.
-    pub fn pressure_of_effort(&self, pressure: f32) -> f32 {
-        if self.proven && !self.breath.is_disconnected() { pressure } else { f32::NAN }
     }
 
     /// Whether a pressure sensor is sound.
@@ -56,22 +75,22 @@ impl SupervisorState {
 
     /// Whether the running inspiration was ended at the pressure limit.
     pub fn cut(&self) -> bool {
-        self.cut
+        self.cut != Cut::None
     }
 
-    /// Command that holds PEEP against a leak, percent.
-    pub fn leak_compensation(&self) -> f32 {
-        self.expiration.compensation()
+    /// Ticks for which the expiratory valve has been commanded open; it is open before the first command.
+    pub(super) fn open(&self) -> u32 {
+        self.open.unwrap_or(1)
+    }
+
+    /// Whether an effort of the patient has started the running breath or, at its end, the next one.
+    pub fn triggered(&self) -> bool {
+        self.start == Start::Effort
     }
 
     /// Leak that the breaths so far have shown, L/s at 1 cmH2O; none unless the flow of the last breath was measured.
     pub fn leak(&self) -> Option<f32> {
         self.volumes.breath().and(self.expiration.known_leak())
-    }
-
-    /// Rise of PIP with a baseline that stays above PEEP, cmH2O.
-    pub fn pip_shift(&self, breath: &Breath) -> f32 {
-        self.expiration.shift(breath)
     }
 
     /// Starts ventilation: resets everything except the sensors' state, the alarms and a latched fault.

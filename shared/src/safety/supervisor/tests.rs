@@ -1,7 +1,7 @@
 //! Tests of the supervisor.
 
 use super::*;
-use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+use crate::breath::{DEFAULT_PERIOD_US, Phase, paper_settings};
 use core::ops::Range;
 use proptest::prelude::*;
 use std::vec::Vec;
@@ -17,12 +17,14 @@ fn breath() -> Breath {
 struct Run {
     supervisor: Supervisor,
     state: SupervisorState,
+    /// Readings and tick of the last check in a breath.
+    last: Option<(Readings, u32)>,
 }
 
 impl Run {
     fn new() -> Self {
         let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
-        Self { supervisor, state: SupervisorState::default() }
+        Self { supervisor, state: SupervisorState::default(), last: None }
     }
 
     /// The believed pressure at a reading of the only sensor.
@@ -31,15 +33,41 @@ impl Run {
     }
 
     fn check_all(&mut self, readings: Readings, tick: Option<u32>) -> Option<f32> {
-        match self.supervisor.check(&mut self.state, &readings, &breath(), tick) {
-            Belief::Pressure(pressure) => Some(pressure),
-            Belief::Nothing | Belief::Lost => None,
+        self.last = tick.map(|tick| (readings, tick));
+        let Some(tick) = tick else {
+            self.supervisor.watch(&mut self.state, &readings, &breath());
+            return None;
+        };
+        let breath = breath();
+        let belief = self.supervisor.check(&mut self.state, &readings, breath.at(tick))?;
+        (self.state.reading != Reading::Lost).then_some(belief.pressure)
+    }
+
+    /// The command after the last check.
+    fn filter(&mut self, output: ControlOutput, u_out: bool) -> ValveCommand {
+        let breath = breath();
+        let belief = self
+            .last
+            .and_then(|(readings, tick)| self.supervisor.belief(&self.state, &readings, breath.at(tick)));
+        match belief {
+            Some(belief) => self.supervisor.command(&mut self.state, &belief, output, u_out),
+            None => self.supervisor.rest(&mut self.state),
         }
     }
 
     /// The command in a tick of the inspiration.
     fn command(&mut self, output: ControlOutput) -> ValveCommand {
-        self.supervisor.command(&mut self.state, output, false)
+        self.filter(output, false)
+    }
+
+    /// An effort of the patient at the end of a tick.
+    fn effort(&mut self, tick: u32) {
+        assert!(self.supervisor.end_tick(&mut self.state, &breath().at(tick), true));
+    }
+
+    /// The command of backup ventilation in a tick of the inspiration, percent.
+    fn backup(&self, tick: u32) -> f32 {
+        self.supervisor.backup_command(&self.state, &breath().at(tick))
     }
 
     fn missed(&mut self, ticks: u32) {
@@ -52,7 +80,7 @@ impl Run {
             .map(|tick| {
                 let inspires = breath().phase(tick) == Phase::Inspiration;
                 self.check(pressure + dither(tick), Some(tick));
-                self.supervisor.command(&mut self.state, output, !inspires).u_in()
+                self.filter(output, !inspires).u_in()
             })
             .collect()
     }
@@ -85,7 +113,7 @@ impl Run {
             if self.state.unresponsive.is_some() {
                 return Some(tick);
             }
-            self.supervisor.command(&mut self.state, ControlOutput::plain(command), !inspires);
+            self.filter(ControlOutput::plain(command), !inspires);
         }
         None
     }
@@ -223,10 +251,7 @@ fn good_breath(run: &mut Run, both_sensors: bool) {
         let outlet = if both_sensors { pressure + dither(tick + 3) } else { f32::NAN };
         let readings = Readings { outlet, ..Readings::from(pressure + dither(tick)) };
         run.check_all(readings, Some(tick));
-        run.supervisor.command(&mut run.state, ControlOutput::plain(30.0), !inspires);
-        if inspires {
-            run.supervisor.record(&mut run.state, &breath(), tick);
-        }
+        run.filter(ControlOutput::plain(30.0), !inspires);
     }
 }
 
@@ -240,7 +265,7 @@ fn without_any_sensor_the_commands_of_good_breaths_are_repeated_and_the_sensor_t
     assert_eq!((run.state.level(), run.state.fault()), (Level::Backup, None));
     let begun = [run.state.take_begun(), run.state.take_begun()];
     assert_eq!(begun, [Some(Fault::ReadingNotANumber), Some(Fault::BackupVentilation)]);
-    let command = run.supervisor.backup_command(&run.state, &breath(), 500);
+    let command = run.backup(500);
     assert!((command - 30.0).abs() < 0.1, "{command}");
     (0..2).for_each(|_| good_breath(&mut run, false));
     assert_eq!(run.state.level(), Level::Learned);
@@ -253,9 +278,9 @@ fn backup_ventilation_delivers_nothing_at_a_predicted_pressure_near_the_limit() 
     run.check(f32::NAN, Some(0));
     for tick in 1..1000 {
         run.check(f32::NAN, Some(tick));
-        let command = run.supervisor.backup_command(&run.state, &breath(), tick);
+        let command = run.backup(tick);
         let command = ControlOutput::plain(if command > 0.0 { 100.0 } else { 0.0 });
-        run.supervisor.command(&mut run.state, command, false);
+        run.filter(command, false);
     }
     let pressure = run.state.lung.predicted_pressure().unwrap();
     assert!((54.0..62.0).contains(&pressure), "{pressure} at a limit of 60");
@@ -307,7 +332,7 @@ fn breaths_that_a_cough_ends_are_no_strikes_and_three_in_a_row_an_alarm() {
             let cough = if (700..750).contains(&tick) { 60.0 } else { 0.0 };
             let rise = if inspires && !run.state.cut() { 0.02 * run.state.lung.volume() } else { 0.0 };
             run.check(5.0 + rise + cough + dither(tick), Some(tick));
-            run.supervisor.command(&mut run.state, ControlOutput::plain(30.0), !inspires);
+            run.filter(ControlOutput::plain(30.0), !inspires);
         }
         alarms.extend(run.state.take_begun());
     }
@@ -339,7 +364,7 @@ fn each_breath_tells_of_the_lung_once() {
     assert_eq!((run.inspire(SOFT, 40.0), run.inspire(STIFF, 40.0)), (None, None));
     for tick in 1000..1010 {
         run.check(65.0_f32.min(5.0 + 10.0 * (tick - 999) as f32) + dither(tick), Some(tick));
-        run.supervisor.command(&mut run.state, ControlOutput::plain(5.0), true);
+        run.filter(ControlOutput::plain(5.0), true);
     }
     assert!(run.silent_after() > 250, "above the limit after the second one");
 }

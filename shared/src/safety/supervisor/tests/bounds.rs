@@ -15,7 +15,7 @@ fn an_alarm_is_present_for_two_breaths_after_its_condition() {
 #[test]
 fn what_another_part_has_found_has_the_response_of_its_row() {
     let mut run = Run::new();
-    run.supervisor.raise(&mut run.state, Fault::Restarted);
+    run.supervisor.report(&mut run.state, Fault::Restarted);
     assert_eq!(run.state.level(), Level::Pid);
     run.state.begin();
     assert_eq!(run.state.take_begun(), Some(Fault::Restarted), "the start forgets no alarm");
@@ -25,10 +25,12 @@ fn what_another_part_has_found_has_the_response_of_its_row() {
 #[test]
 fn before_the_first_reading_nothing_is_known_and_after_five_missing_ones_no_sensor_is_sound() {
     let mut run = Run::new();
+    let breath = breath();
     let beliefs: Vec<_> = (0..5)
-        .map(|tick| run.supervisor.check(&mut run.state, &f32::NAN.into(), &breath(), Some(tick)))
+        .map(|tick| run.supervisor.check(&mut run.state, &f32::NAN.into(), breath.at(tick)))
+        .map(|belief| belief.map(|belief| (belief.level, belief.pressure as i32)))
         .collect();
-    assert_eq!(beliefs, [[Belief::Nothing; 4].as_slice(), &[Belief::Lost]].concat());
+    assert_eq!(beliefs, [None, None, None, None, Some((Level::Backup, 5))], "with PEEP in its place");
 }
 
 #[test]
@@ -38,7 +40,7 @@ fn gas_without_a_reading_counts_in_inspirations_alone() {
     let mut volume_after = |ticks: Range<u32>| {
         for tick in ticks {
             run.check(f32::NAN, Some(tick));
-            run.supervisor.command(&mut run.state, ControlOutput::plain(30.0), tick >= 1000);
+            run.filter(ControlOutput::plain(30.0), tick >= 1000);
         }
         run.state.lung.volume()
     };
@@ -58,9 +60,9 @@ fn gas_explains_a_cut_if_it_predicts_half_of_the_way_from_pip_to_the_limit() {
             let reached = run.state.lung.predicted_pressure().unwrap() >= predicted;
             pressure = if reached { pressure + 10.0 } else { 5.0 + 0.1 * run.state.lung.volume() };
             run.check(pressure.min(65.0) + dither(tick), Some(tick));
-            run.supervisor.command(&mut run.state, ControlOutput::plain(60.0), false);
+            run.filter(ControlOutput::plain(60.0), false);
         }
-        run.state.cut() && run.state.strike
+        run.state.cut == Cut::ByGas
     };
     assert_eq!([25.0, 37.0, 41.0].map(strikes), [false, false, true]);
 }
@@ -167,10 +169,7 @@ fn breath_to(run: &mut Run, plateau: f32, command: f32) {
     for tick in 0..breath().total_ticks() {
         let inspires = breath().phase(tick) == Phase::Inspiration;
         run.check(if inspires { plateau } else { 5.0 } + dither(tick), Some(tick));
-        run.supervisor.command(&mut run.state, ControlOutput::plain(command), !inspires);
-        if inspires {
-            run.supervisor.record(&mut run.state, &breath(), tick);
-        }
+        run.filter(ControlOutput::plain(command), !inspires);
     }
 }
 
@@ -192,9 +191,9 @@ fn an_inspiration_to_seven_tenths_of_the_rise_is_a_good_one() {
     let backup_after = |plateau| {
         let mut run = Run::new();
         breath_to(&mut run, plateau, 10.0);
-        run.supervisor.backup_command(&run.state, &breath(), 500) as i32
+        run.backup(500) as i32
     };
-    let before = Backup::new().command(&breath(), 500, true) as i32;
+    let before = Backup::new().command(&breath().at(500), true) as i32;
     assert_eq!((backup_after(15.4), backup_after(15.5)), (before, 10));
 }
 
@@ -207,7 +206,7 @@ fn backup_ventilation_delivers_below_five_under_the_limit() {
     let command = |pressure_limit| {
         let settings = Settings { pressure_limit, ..paper_settings(20.0) };
         let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
-        run.supervisor.backup_command(&run.state, &breath, 500)
+        run.supervisor.backup_command(&run.state, &breath.at(500))
     };
     assert!(predicted > 32.0 && command(predicted + 5.0).abs() < 1e-6 && command(predicted + 5.1) > 1.0);
 }
@@ -232,7 +231,7 @@ fn coughs_in_expirations_are_no_strikes() {
         let cough = if (1700..1750).contains(&tick) { 60.0 } else { 0.0 };
         let rise = if inspires { 0.02 * run.state.lung.volume() } else { 0.0 };
         run.check(5.0 + rise + cough + dither(tick), Some(tick));
-        run.supervisor.command(&mut run.state, ControlOutput::plain(30.0), !inspires);
+        run.filter(ControlOutput::plain(30.0), !inspires);
         alarms.extend(run.state.take_begun());
     }
     assert_eq!((alarms, run.state.level()), (Vec::from([Fault::HighPressure]), Level::Learned));
@@ -246,14 +245,14 @@ fn the_commands_of_the_last_ticks_predict_the_course_of_the_pressure() {
         run.check(5.0 + 0.1 * run.state.lung.volume() + dither(tick), Some(tick));
         run.command(ControlOutput::plain(40.0));
     }
-    let expected = |state: &SupervisorState, tick| run.supervisor.expected(state, f32::NAN, &breath(), tick);
-    assert_eq!(expected(&run.state, None), Expected::Rest);
-    assert_eq!(expected(&run.state, Some(100)), Expected::RiseTo(20.0));
-    assert_eq!(expected(&run.state, Some(0)), Expected::Any, "the estimate is that of the last breath");
-    assert_eq!(expected(&run.state, Some(1000)), Expected::Any, "no inspiration");
-    let cut = SupervisorState { cut: true, ..run.state.clone() };
-    assert_eq!(expected(&cut, Some(100)), Expected::Any);
-    let open = |open| expected(&SupervisorState { open, ..run.state.clone() }, Some(1040));
+    let expected =
+        |state: &SupervisorState, tick| run.supervisor.expected(state, f32::NAN, &breath().at(tick));
+    assert_eq!(expected(&run.state, 100), Expected::RiseTo(20.0));
+    assert_eq!(expected(&run.state, 0), Expected::Any, "the estimate is that of the last breath");
+    assert_eq!(expected(&run.state, 1000), Expected::Any, "no inspiration");
+    let cut = SupervisorState { cut: Cut::ByGas, ..run.state.clone() };
+    assert_eq!(expected(&cut, 100), Expected::Any);
+    let open = |open| expected(&SupervisorState { open: Some(open), ..run.state.clone() }, 1040);
     assert_eq!((open(39), open(40)), (Expected::Any, Expected::FallTo(5.0)), "the valve takes 40 ms");
 }
 
@@ -268,7 +267,7 @@ fn each_expiration_is_compared_once_whether_the_clock_or_an_effort_ends_it() {
                 run.check_all(Readings { outlet, ..Readings::from(pressure + dither(tick)) }, Some(tick));
             }
             if effort {
-                run.supervisor.triggered(&mut run.state, &breath(), ticks - 1);
+                run.effort(ticks - 1);
             }
         }
         run.state.indications().present().has(Fault::SensorsDisagree)
@@ -286,7 +285,7 @@ fn a_second_after_the_inspiration_an_effort_ends_an_expiration_with_a_baseline()
             for tick in 0..=last {
                 run.check(if tick < 1000 { 20.0 } else { 12.0 } + dither(tick), Some(tick));
             }
-            run.supervisor.triggered(&mut run.state, &breath(), last);
+            run.effort(last);
         }
         run.state.indications().present().has(Fault::BaselineHigh)
     };
@@ -302,7 +301,7 @@ fn a_doubtful_pressure_below_peep_raises_no_flow() {
             let outlet = outlet + dither(tick + 3);
             run.check_all(Readings { outlet, ..Readings::from(airway + dither(tick)) }, Some(tick));
         }
-        run.state.leak_compensation()
+        run.state.expiration.compensation()
     };
     assert!(compensation(3.0) > 20.0 && compensation(6.0).abs() < 1e-6);
 }
@@ -383,18 +382,29 @@ fn a_leak_is_learned_from_a_connected_patient_alone() {
         run.state.volumes = Volumes::default();
         run.state.volumes.add(0.2, 9.0, 0.0, 1.0);
         (0..2).for_each(|tick| _ = run.check(5.0, Some(tick)));
-        run.state.leak_compensation()
+        run.state.expiration.compensation()
     };
     assert!(learned(false) > 10.0 && learned(true).abs() < 1e-6);
 }
 
 #[test]
-fn an_effort_shows_in_a_reading_of_this_tick_alone() {
+fn without_a_breath_the_command_is_the_safe_one_at_once() {
     let mut run = Run::new();
-    run.check(5.0, Some(0));
-    assert_eq!(run.state.pressure_of_effort(5.0).to_bits(), 5.0_f32.to_bits());
-    assert_eq!(run.check(f32::NAN, Some(1)), Some(5.0));
-    assert!(run.state.pressure_of_effort(5.0).is_nan());
+    run.breathe(0..5, 15.0, ControlOutput { base: 0.0, command: 100.0 });
+    run.check(15.0, None);
+    assert_eq!(run.command(LEARNED), ValveCommand::SAFE, "however large the learned part was");
+}
+
+#[test]
+fn an_effort_shows_in_a_reading_of_this_tick_alone() {
+    let (mut run, breath) = (Run::new(), breath());
+    let mut shows = |reading: f32, tick| {
+        let belief = run.supervisor.check(&mut run.state, &reading.into(), breath.at(tick)).unwrap();
+        (belief.pressure.to_bits(), belief.effort)
+    };
+    assert_eq!(shows(5.0, 0), (5.0_f32.to_bits(), 5.0));
+    let (pressure, effort) = shows(f32::NAN, 1);
+    assert!(pressure == 5.0_f32.to_bits() && effort.is_nan());
 }
 
 #[test]
@@ -406,9 +416,9 @@ fn flow_that_holds_peep_is_an_alarm_unless_the_patient_draws_it_in() {
                 let pressure = if tick < 1000 { 15.0 } else { 3.2 };
                 let flow = if tick == 1900 { flow } else { 0.0 };
                 run.check_all(Readings { flow, ..Readings::from(pressure + dither(tick)) }, Some(tick));
-                run.supervisor.command(&mut run.state, ControlOutput::plain(0.0), tick >= 1000);
+                run.filter(ControlOutput::plain(0.0), tick >= 1000);
             }
-            run.supervisor.triggered(&mut run.state, &breath(), 1900);
+            run.effort(1900);
         }
         run.state.indications().present().has(Fault::BaselineLow)
     };

@@ -25,7 +25,7 @@ impl Patient {
                 if tick < inspiration { volume / 1000.0 } else { -volume / (total - inspiration) as f32 };
             let airway = 9.0 + dither(tick);
             let readings = Readings { airway, outlet: f32::NAN, flow: flow + 3.0 * self.leak };
-            self.run.supervisor.check(&mut self.run.state, &readings, &breath, Some(tick));
+            self.run.supervisor.check(&mut self.run.state, &readings, breath.at(tick));
             alarms.extend(self.run.state.take_begun());
         }
         alarms
@@ -81,17 +81,8 @@ fn blind_at(share: f32, monitors: Monitors) -> (f32, f32) {
     let tick_of = |run: &mut Run, tick: u32, airway: f32, share: f32| {
         let inspires = breath().phase(tick) == Phase::Inspiration;
         let flow = if inspires { share * run.state.lung.valve_flow() } else { -0.05 };
-        run.supervisor.check(
-            &mut run.state,
-            &Readings { airway, outlet: f32::NAN, flow },
-            &breath(),
-            Some(tick),
-        );
-        let command = ControlOutput::plain(if inspires { 30.0 } else { 0.0 });
-        run.supervisor.command(&mut run.state, command, !inspires);
-        if inspires && !airway.is_nan() {
-            run.supervisor.record(&mut run.state, &breath(), tick);
-        }
+        run.check_all(Readings { airway, outlet: f32::NAN, flow }, Some(tick));
+        run.filter(ControlOutput::plain(if inspires { 30.0 } else { 0.0 }), !inspires);
     };
     for tick in (0..3).flat_map(|_| 0..breath().total_ticks()) {
         let pressure = 5.0 + 0.015 * breath().inspiration_ticks().min(tick) as f32;
@@ -101,7 +92,7 @@ fn blind_at(share: f32, monitors: Monitors) -> (f32, f32) {
     for tick in 0..500 {
         tick_of(&mut run, tick, f32::NAN, share);
     }
-    (run.supervisor.backup_command(&run.state, &breath(), 500), run.state.lung.volume())
+    (run.backup(500), run.state.lung.volume())
 }
 
 #[test]
