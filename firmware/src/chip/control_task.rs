@@ -17,8 +17,10 @@ use shared::timing::TickTime;
 
 use static_cell::StaticCell;
 
-use super::board::{CORE_CLOCK, PlantInterface, SelectedPlant};
+use super::board::SelectedPlant;
 use super::drivers::alarm_outputs::AlarmOutputs;
+use super::drivers::core_clock::CORE_CLOCK;
+use super::drivers::plant_interface::PlantInterface;
 use super::drivers::watchdog::Watchdog;
 use super::drivers::{clock, link_uart, oscillator, supply};
 

@@ -35,8 +35,8 @@ use shared::recorder::{ChipEvent, Recorder};
 use shared::reset::ResetCause;
 use shared::weights::slots::{Slot, Slots};
 
-use board::PlantInterface;
 use drivers::flash::BoardFlash;
+use drivers::plant_interface::PlantInterface;
 use drivers::{clock, flash, reset, supply, taken_once};
 
 static CONTROL: InterruptExecutor = InterruptExecutor::new();

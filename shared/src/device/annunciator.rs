@@ -13,7 +13,8 @@
 //! An audio pause silences the sounder for at most [`AUDIO_PAUSE_MAX`] and leaves the lamps alone. A new alarm ends it if it is
 //! of high priority or of a higher one than all paused alarms.
 
-pub use crate::link::messages::{AUDIO_PAUSE_MAX, AudioStatus};
+pub use crate::link::messages::AudioStatus;
+pub use crate::link::refusal::AUDIO_PAUSE_MAX;
 use crate::link::refusal::Refusal;
 use crate::safety::alarms::{ALARMS, Priority};
 use crate::safety::indications::{FaultSet, Indications};

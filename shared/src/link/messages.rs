@@ -34,8 +34,6 @@ use crate::weights::trust::KeyId;
 pub const CHUNK_BYTES: usize = 128;
 /// Longest failure message, bytes.
 pub const FAILURE_BYTES: usize = 120;
-/// Longest audio pause, s.
-pub const AUDIO_PAUSE_MAX: u16 = 120;
 
 /// Message from host to device.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -120,7 +118,7 @@ pub enum Request {
     GetAlarms,
     /// Pauses the sounder; the lamps stay. Answered by [`Response::Audio`].
     PauseAudio {
-        /// Length of the pause, s, at most [`AUDIO_PAUSE_MAX`]; 0 ends a pause.
+        /// Length of the pause, s, at most [`AUDIO_PAUSE_MAX`](super::refusal::AUDIO_PAUSE_MAX); 0 ends a pause.
         seconds: u16,
     },
     /// Reports the state of the sounder; answered by [`Response::Audio`].

@@ -4,12 +4,14 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::host_name::HostName;
-use super::messages::AUDIO_PAUSE_MAX;
 use super::self_test::{Finding, Step};
 use crate::calibration::CalibrationError;
 use crate::settings::SettingsError;
 use crate::timing::LEASE_S;
 use crate::weights::{IMAGE_BYTES, ImageProblem};
+
+/// Longest audio pause, s.
+pub const AUDIO_PAUSE_MAX: u16 = 120;
 
 /// Reason for refusing a request. The order of the variants is part of the protocol: append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Error)]

@@ -5,20 +5,19 @@
 //! no test catches it.
 
 mod graft;
+mod mutant;
 mod tree;
 mod trial;
 mod tried;
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::process::exit;
 
 use anyhow::{Context, Result, ensure};
-use proc_macro2::LineColumn;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use xshell::{Shell, cmd};
 
-use graft::{Mutation, offset};
+use mutant::{Listed, Mutant, Outcome, Outcomes};
 use tried::try_all;
 
 /// The release of cargo-mutants; [`LIST`] names mutations in its words.
@@ -53,89 +52,6 @@ pub struct Arguments {
 
 fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
-}
-
-/// What became of a mutant.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-enum Outcome {
-    /// A test failed, or did not end.
-    Caught,
-    DoesNotCompile,
-    Survived,
-}
-
-/// Outcomes by the names of the mutants.
-type Outcomes = BTreeMap<String, Outcome>;
-
-/// A mutant as cargo-mutants lists it.
-#[derive(Debug, Deserialize)]
-struct Listed {
-    /// Place and mutation.
-    name: String,
-    file: String,
-    replacement: String,
-    span: Span,
-}
-
-/// The code that is replaced.
-#[derive(Clone, Copy, Debug, Deserialize)]
-struct Span {
-    start: Place,
-    end: Place,
-}
-
-/// A place in a file, both counted from 1.
-#[derive(Clone, Copy, Debug, Deserialize)]
-struct Place {
-    line: usize,
-    column: usize,
-}
-
-/// A mutant. The name tells it from all others in one run; file, mutation and mutated line do so when lines have moved.
-#[derive(Clone, Debug, PartialEq)]
-struct Mutant {
-    /// Place and mutation.
-    name: String,
-    file: String,
-    /// In the words of cargo-mutants, with the function.
-    mutation: String,
-    /// The mutated line; none where several lines are replaced.
-    becomes: Option<String>,
-    /// The bytes of the file that the replacement replaces.
-    range: Range<usize>,
-    replacement: String,
-}
-
-impl Mutant {
-    /// `source` is the text of its file.
-    fn new(listed: Listed, source: &str) -> Self {
-        let Listed { name, file, replacement, span } = listed;
-        let Span { start, end } = span;
-        let place = format!("{file}:{}:{}: ", start.line, start.column);
-        let mutation = name.strip_prefix(&place).unwrap_or(&name).to_owned();
-        let line = source.lines().nth(start.line - 1).filter(|_| start.line == end.line);
-        let becomes = line.map(|line| {
-            let (before, after) = (line.chars().take(start.column - 1), line.chars().skip(end.column - 1));
-            let line: String = before.chain(replacement.chars()).chain(after).collect();
-            line.trim().to_owned()
-        });
-        let at = |place: Place| offset(source, LineColumn { line: place.line, column: place.column - 1 });
-        let range = at(span.start)..at(span.end);
-        Self { name, file, mutation, becomes, range, replacement }
-    }
-
-    /// What it does to its file, as the mutant of this number.
-    fn mutation(&self, number: u32) -> Mutation<'_> {
-        Mutation { number, range: self.range.clone(), replacement: &self.replacement }
-    }
-
-    /// The entry that would accept it.
-    fn entry(&self) -> String {
-        let becomes = self.becomes.iter().map(|line| format!("becomes = '{line}'\n"));
-        let becomes: String = becomes.collect();
-        let Self { file, mutation, .. } = self;
-        format!("[[accepted]]\nfile = '{file}'\nmutation = '{mutation}'\n{becomes}reason = \"\"\n")
-    }
 }
 
 /// The committed list.
@@ -275,6 +191,7 @@ impl<'a> Verdict<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::mutant::{Place, Span};
     use super::*;
 
     const SOURCE: &str = "fn high(p: f32) -> bool {\n    p > 40.0 && p > 0.0\n}\n";

@@ -11,9 +11,9 @@ use anyhow::{Context, Result, bail, ensure};
 use xshell::Shell;
 
 use super::graft::{self, Grafted, graft};
+use super::mutant::{Mutant, Outcome, Outcomes};
 use super::tree::{Built, Serves, Tree};
 use super::trial::Trial;
-use super::{Mutant, Outcome, Outcomes};
 
 /// Root of the core, to which [`graft::ROOT`] is added.
 const CRATE_ROOT: &str = "shared/src/lib.rs";
@@ -28,7 +28,8 @@ type Numbered<'a> = BTreeMap<u32, &'a Mutant>;
 /// Tries all mutants; to resume means not to try those again which are caught or do not compile.
 pub fn try_all(shell: &Shell, jobs: usize, resume: bool, mutants: &[Mutant]) -> Result<Outcomes> {
     let outcomes = if resume { earlier(shell)? } else { Outcomes::new() };
-    let is_done = |mutant: &Mutant| matches!(outcomes.get(&mutant.name), Some(outcome) if *outcome != Outcome::Survived);
+    let is_done =
+        |mutant: &Mutant| outcomes.get(&mutant.name).is_some_and(|outcome| *outcome != Outcome::Survived);
     let mut untried: Numbered = (1..).zip(mutants).filter(|(_, mutant)| !is_done(mutant)).collect();
     let findings = Findings::new(shell, outcomes.clone(), untried.len());
     let core = Core::new(shell, mutants)?;

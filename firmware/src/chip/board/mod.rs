@@ -1,4 +1,4 @@
-//! The board: one file per board defines its clocks and pins, which no other code depends on. A feature of the crate selects
+//! The board: one file per board defines its crystal and pins, which no other code depends on. A feature of the crate selects
 //! the board; docs/PORTING.md explains how to add one.
 
 #[cfg(feature = "stm32f405")]
@@ -8,41 +8,22 @@ mod selected;
 #[path = "stm32f446.rs"]
 mod selected;
 
+use embassy_stm32::Peri;
 use embassy_stm32::gpio::{AnyPin, Level, Output, Speed};
 use embassy_stm32::peripherals::{FLASH, IWDG};
-use embassy_stm32::rcc::{
-    AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk,
-};
-use embassy_stm32::{Config, Peri, Peripherals};
-use shared::device::control::PlantChange;
-use shared::link::messages::DeviceKind;
-use shared::safety::filter::ValveCommand;
-use shared::sensor::Readings;
 use shared::timing::WATCHDOG_US;
 
-pub use selected::{CORE_CLOCK, Expiratory, Inspiratory};
+pub use selected::{Expiratory, Inspiratory};
 
 use super::drivers::alarm_outputs::AlarmOutputs;
-use super::drivers::flash::{BoardFlash, accelerate};
+use super::drivers::flash::BoardFlash;
+use super::drivers::taken_once;
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{backup, oscillator, taken_once};
 
 #[cfg(not(feature = "hil"))]
 pub use super::drivers::bedside::Bedside as SelectedPlant;
 #[cfg(feature = "hil")]
 pub use super::drivers::plant_line::PlantLine as SelectedPlant;
-
-/// Interface of the control task to sensors and valves, or to a plant in their place.
-pub trait PlantInterface {
-    /// Kind of a device with this interface.
-    const KIND: DeviceKind;
-
-    /// Reads the sensors. Takes a bounded time.
-    fn read(&mut self, change: &PlantChange) -> Readings;
-
-    /// Drives the valves; only the safety filter can make a command.
-    fn drive(&mut self, command: &ValveCommand);
-}
 
 /// A started board: the clocks run, the valves are safe, the link's line is open.
 pub struct Board {
@@ -87,38 +68,6 @@ pub fn start() -> Board {
         force_valves_safe();
     }
     board
-}
-
-/// Starts 168 MHz from an 8 MHz crystal or, if it does not start, from the internal oscillator, for chips of the F4 family that
-/// allow it; both serial lines' clocks divide to 1 Mbaud. Returns the peripherals, and whether the crystal runs.
-fn start_clocks(crystal: Hse) -> (Peripherals, bool) {
-    let runs = oscillator::start_crystal(crystal.mode != HseMode::Oscillator);
-    let mut config = Config::default();
-    let (source, prediv) = if runs {
-        config.rcc.hse = Some(crystal);
-        (PllSource::HSE, PllPreDiv::DIV4)
-    } else {
-        (PllSource::HSI, oscillator::INTERNAL_DIVIDER)
-    };
-    config.rcc.pll_src = source;
-    config.rcc.pll = Some(Pll {
-        prediv,
-        mul: PllMul::MUL168,
-        divp: Some(PllPDiv::DIV2),
-        divq: Some(PllQDiv::DIV7),
-        divr: None,
-    });
-    config.rcc.sys = Sysclk::PLL1_P;
-    config.rcc.ahb_pre = AHBPrescaler::DIV1;
-    config.rcc.apb1_pre = APBPrescaler::DIV4;
-    config.rcc.apb2_pre = APBPrescaler::DIV2;
-    config.rcc.ls = backup::present_configuration();
-    let chip = embassy_stm32::init(config);
-    accelerate();
-    if runs {
-        oscillator::watch();
-    }
-    (chip, runs)
 }
 
 /// Puts both valves in their safe state, after any failure.

@@ -21,11 +21,9 @@ use embassy_stm32::time::Hertz;
 
 #[cfg(not(feature = "hil"))]
 use super::super::drivers::{adc::Adc, valves::Valves};
-use super::super::drivers::{alarm_outputs::AlarmOutputs, link_uart, open_serial};
-use super::{Board, SelectedPlant, start_clocks};
+use super::super::drivers::{alarm_outputs::AlarmOutputs, core_clock, link_uart, open_serial};
+use super::{Board, SelectedPlant};
 
-/// Clock of the core and of `SysTick`.
-pub const CORE_CLOCK: Hertz = Hertz(168_000_000);
 /// The board's crystal. The internal oscillator may be off by 1 %, and all times of the breath with it.
 const CRYSTAL: Hertz = Hertz(8_000_000);
 
@@ -36,14 +34,14 @@ pub type Expiratory = PB0;
 
 /// Starts the clocks and passes pins and peripherals to their drivers.
 pub(super) fn start() -> Board {
-    let (chip, crystal) = start_clocks(Hse { freq: CRYSTAL, mode: HseMode::Oscillator });
+    let (chip, crystal) = core_clock::start(Hse { freq: CRYSTAL, mode: HseMode::Oscillator });
     open_serial(chip.USART1, chip.PA10, chip.PA9);
     link_uart::start();
     #[cfg(not(feature = "hil"))]
     let plant = {
         // Airway, outlet, flow.
         let channels = [chip.PA0.degrade_adc(), chip.PA1.degrade_adc(), chip.PA4.degrade_adc()];
-        let valves = Valves::new(chip.TIM3, chip.PA6, chip.PB0);
+        let valves = Valves::new::<Inspiratory, Expiratory>(chip.TIM3, chip.PA6, chip.PB0);
         SelectedPlant::new(Adc::new(chip.ADC1, channels), valves)
     };
     #[cfg(feature = "hil")]

@@ -7,8 +7,8 @@ use embassy_stm32::adc::{self, AnyAdcChannel, SampleTime};
 use embassy_stm32::peripherals::ADC1;
 use embassy_stm32::{Peri, pac};
 
-use super::super::board::CORE_CLOCK;
 use super::clock;
+use super::core_clock::CORE_CLOCK;
 
 /// Timeout for all three conversions, twice their duration, cycles.
 const TIMEOUT: u32 = CORE_CLOCK.0 / 1_000_000 * 30;

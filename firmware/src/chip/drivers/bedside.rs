@@ -5,8 +5,8 @@ use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
 use shared::sensor::{Counts, Readings};
 
-use super::super::board::PlantInterface;
 use super::adc::Adc;
+use super::plant_interface::PlantInterface;
 use super::valves::Valves;
 
 /// Sensors and valves of the board.

@@ -11,7 +11,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 use shared::breath::DEFAULT_PERIOD_US;
 
-use super::super::board::CORE_CLOCK;
+use super::core_clock::CORE_CLOCK;
 use super::link_uart;
 
 /// Length of a control tick, cycles.

@@ -7,9 +7,11 @@ pub mod backup;
 #[cfg(not(feature = "hil"))]
 pub mod bedside;
 pub mod clock;
+pub mod core_clock;
 pub mod flash;
 pub mod link_uart;
 pub mod oscillator;
+pub mod plant_interface;
 #[cfg(feature = "hil")]
 pub mod plant_line;
 pub mod reset;

@@ -11,8 +11,9 @@ use shared::link::plant_link::{PlantDecoder, PlantFrame, PlantMessage};
 use shared::safety::filter::ValveCommand;
 use shared::sensor::Readings;
 
-use super::super::board::{CORE_CLOCK, PlantInterface};
 use super::clock;
+use super::core_clock::CORE_CLOCK;
+use super::plant_interface::PlantInterface;
 
 /// Longest wait for an answer, 3 ms in cycles. Ticks that pass meanwhile count as missed, and 5 in a breath latch a fault.
 const TIMEOUT: u32 = CORE_CLOCK.0 / 1_000 * 3;

@@ -4,8 +4,8 @@
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::pac::{EXTI, FLASH, PWR};
 
-use super::super::board::CORE_CLOCK;
 use super::super::failure;
+use super::core_clock::CORE_CLOCK;
 
 /// Threshold of the detector, its highest: 2.9 V.
 const DETECTOR_LEVEL: u8 = 7;

@@ -4,15 +4,14 @@
 //! power stages are pulled low, so that they are also safe while the chip is in reset and its pins float.
 
 use embassy_stm32::Peri;
-use embassy_stm32::gpio::{Level, Output, OutputType, Speed};
+use embassy_stm32::gpio::{Level, Output, OutputType, Pin, Speed};
 use embassy_stm32::peripherals::TIM3;
 use embassy_stm32::time::Hertz;
 use embassy_stm32::timer::low_level::CountingMode;
 use embassy_stm32::timer::simple_pwm::{PwmPin, SimplePwm};
+use embassy_stm32::timer::{Ch1, TimerPin};
 use shared::control::COMMAND_MAX;
 use shared::safety::filter::ValveCommand;
-
-use super::super::board::{Expiratory, Inspiratory};
 
 /// Above the audible range, and far above the bandwidth of a solenoid.
 const PWM_FREQUENCY: Hertz = Hertz(20_000);
@@ -24,11 +23,11 @@ pub struct Valves {
 }
 
 impl Valves {
-    /// Both valves in their safe state.
-    pub fn new(
+    /// Both valves in their safe state, on a board's pins `I` (inspiratory) and `E` (expiratory).
+    pub fn new<I: TimerPin<TIM3, Ch1>, E: Pin>(
         pwm: Peri<'static, TIM3>,
-        inspiratory: Peri<'static, Inspiratory>,
-        expiratory: Peri<'static, Expiratory>,
+        inspiratory: Peri<'static, I>,
+        expiratory: Peri<'static, E>,
     ) -> Self {
         let expiratory = Output::new(expiratory, Level::Low, Speed::Low);
         let pin = PwmPin::new(inspiratory, OutputType::PushPull);

@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Exp1};
 
 use super::config::PatientConfig;
-use super::patient::pulse;
+use super::pulse::pulse;
 
 /// The coughs and their state, the present cough and the beginning of the next.
 #[derive(Clone, Debug)]

@@ -49,7 +49,9 @@ mod lung;
 mod outlet_sensor;
 mod patient;
 mod presets;
+mod pulse;
 mod sensor;
+mod step;
 #[cfg(test)]
 mod tests;
 mod unit;
@@ -58,6 +60,7 @@ mod valve;
 pub use bench_plant::BenchPlant;
 pub use failure::Failure;
 pub use presets::is_neonatal;
+pub use step::{LEAST_SUB_STEPS, STEP_S, STEP_US};
 
 pub use config::{
     BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, FlowSensorConfig,
@@ -80,16 +83,10 @@ use sensor::Sensor;
 use unit::Unit;
 use valve::Valve;
 
-/// Duration of one [`Bench::step`], microseconds.
-pub const STEP_US: u32 = 1000;
-/// Duration of one [`Bench::step`], s.
-pub const STEP_S: f64 = STEP_US as f64 * 1e-6;
 /// `ChaCha` stream of the outlet sensor's noise. That of the airway sensor is 0.
 const OUTLET_STREAM: u64 = 4;
 /// `ChaCha` stream of the flow sensor's noise.
 const FLOW_STREAM: u64 = 5;
-/// Minimum and default number of sub-steps of a step: the error of the implicit solution grows with their length.
-pub const LEAST_SUB_STEPS: u32 = 4;
 
 /// Number of bench steps in a control period of `period_us` microseconds.
 ///

@@ -1,21 +1,15 @@
 //! Patient: efforts, coughs, secretions, and a lung that changes from a given breath on.
 
-use std::f64::consts::PI;
-
 use super::config::PatientConfig;
 use super::coughs::Coughs;
 use super::drive::Drive;
+use super::pulse::pulse;
 use super::stream;
 
 /// `ChaCha` stream of the efforts.
 const DRIVE_STREAM: u64 = 2;
 /// `ChaCha` stream of the coughs.
 const COUGH_STREAM: u64 = 3;
-
-/// A half sine of `duration`, 0 outside.
-pub(super) fn pulse(since_start_s: f64, duration_s: f64) -> f64 {
-    if (0.0..duration_s).contains(&since_start_s) { (PI * since_start_s / duration_s).sin() } else { 0.0 }
-}
 
 /// The patient. A passive or regular one has no state but the number of breaths received.
 #[derive(Clone, Debug)]

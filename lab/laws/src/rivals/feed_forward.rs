@@ -17,7 +17,8 @@ use shared::control::pid::{Pid, PidGains, PidState};
 use shared::control::{COMMAND_MAX, ControlLaw, ControlOutput, Observation};
 use shared::math;
 
-use super::lung_fit::{Lung, LungFit};
+use super::lung::Lung;
+use super::lung_fit::LungFit;
 use super::machine::Machine;
 use super::parameter::{self, GAIN_D, GAIN_I, GAIN_P, Parameter, RivalError};
 use ventilator::law::Law;

@@ -10,16 +10,8 @@
 use engine::least_squares;
 use shared::breath::period_s;
 
+use super::lung::Lung;
 use super::machine::{Machine, ModelValve};
-
-/// A lung of one compartment.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lung {
-    /// Resistance, cmH2O/(L/s).
-    pub resistance: f32,
-    /// Compliance, mL/cmH2O.
-    pub compliance: f32,
-}
 
 /// Allowed resistances and compliances: those of any patient, with a wide margin.
 const RESISTANCES: (f32, f32) = (1.0, 500.0);
@@ -28,17 +20,6 @@ const COMPLIANCES: (f32, f32) = (0.2, 200.0);
 const EVERY: usize = 5;
 /// Largest number of rows.
 const MOST_ROWS: usize = 2000;
-
-impl Lung {
-    /// The lung part of the way to another one.
-    #[must_use]
-    pub fn towards(self, other: Self, share: f32) -> Self {
-        Self {
-            resistance: self.resistance + share * (other.resistance - self.resistance),
-            compliance: self.compliance + share * (other.compliance - self.compliance),
-        }
-    }
-}
 
 /// The rows of a fit over a running inspiration.
 #[derive(Clone, Debug, Default, PartialEq)]

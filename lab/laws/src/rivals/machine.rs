@@ -9,7 +9,7 @@ use shared::breath::period_s;
 use shared::control::COMMAND_MAX;
 use shared::math;
 
-use super::lung_fit::Lung;
+use super::lung::Lung;
 
 /// Nominal values of a machine, in the units of the control law.
 #[derive(Clone, Copy, Debug, PartialEq)]

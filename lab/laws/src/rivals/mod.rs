@@ -10,6 +10,7 @@ pub mod feed_forward;
 pub mod feed_learning;
 pub mod gated;
 pub mod iterative;
+pub mod lung;
 pub mod lung_fit;
 pub mod machine;
 pub mod parameter;

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::STEP_US;
+use super::step::{LEAST_SUB_STEPS, STEP_US};
 
 /// Allowed settings of the mechanical PEEP valve, cmH2O.
 pub const PEEP_RANGE_CMH2O: RangeInclusive<f64> = 0.0..=50.0;
@@ -104,7 +104,7 @@ impl Default for BenchConfig {
     fn default() -> Self {
         Self {
             name: "R20C20".to_owned(),
-            sub_steps: super::LEAST_SUB_STEPS,
+            sub_steps: LEAST_SUB_STEPS,
             valve: ValveConfig::default(),
             expiratory: ExpiratoryConfig::default(),
             circuit: CircuitConfig::default(),
@@ -165,7 +165,7 @@ impl BenchConfig {
             unit,
             patient,
         } = self;
-        check("sub_steps", f64::from(*sub_steps), f64::from(super::LEAST_SUB_STEPS)..=64.0)?;
+        check("sub_steps", f64::from(*sub_steps), f64::from(LEAST_SUB_STEPS)..=64.0)?;
         valve.validate()?;
         expiratory.validate()?;
         circuit.validate()?;
