@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use judge::faults::cases::{FaultCase, HAZARDS, LIMIT, Required, cases};
-use shared::safety::alarms::{ALARMS, Priority};
+use shared::safety::alarms::ALARMS;
 
 fn document() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../SAFETY.md"))
@@ -17,12 +17,7 @@ fn alarms() -> String {
     let mut table =
         "| alarm | priority | action | entry | exit | text |\n|---|---|---|---|---|---|\n".to_owned();
     for alarm in &ALARMS {
-        let priority = match alarm.priority {
-            Priority::Low => "low",
-            Priority::Medium => "medium",
-            Priority::High => "high",
-        };
-        let action = alarm.action.name();
+        let (priority, action) = (alarm.priority.name(), alarm.action.name());
         let (id, entry, exit, text) = (alarm.id, alarm.entry, alarm.exit, alarm.text);
         writeln!(table, "| `{id}` | {priority} | {action} | {entry} | {exit} | {text} |").unwrap();
     }

@@ -358,7 +358,7 @@ impl Watched {
             settings: known.in_force.copied(),
             pending: known.pending.copied(),
             alarms: self.alarms.list(),
-            audio: Audio { priority: audio.priority.map(words::priority), pause_left: audio.pause_left },
+            audio: Audio { priority: audio.priority.map(Priority::name), pause_left: audio.pause_left },
             steered_by: page.map(str::to_owned),
             lease: known.lease.and_then(holder),
             ticks: self.ticks(),
