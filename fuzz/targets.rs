@@ -1,15 +1,17 @@
 //! Properties that must be true for any external input: one function per target, for the fuzzer and for the test in
 //! `tests/tests/fuzz.rs`, which runs the same functions on seeds and mutations.
 
+use shared::calibration::Calibration;
 use shared::checksum::{CHECKSUM_BYTES, crc32, verified};
 use shared::device::control::Control;
-use shared::device::server::{DeviceFacts, NextStep, Server};
+use shared::device::server::{Answer, DeviceFacts, Server, Store};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{DeviceKind, ToDevice, ToHost, greeted_protocol, read_reply, read_request};
 use shared::link::plant_link;
+use shared::link::refusal::Refusal;
 use shared::recorder::{Boot, LogEntry, Recorder, RecorderMemory, TickEntry};
 use shared::ventilator::Mode;
-use shared::weights::slots::{Slot, SlotState};
+use shared::weights::slots::{Slot, SlotState, StoreError};
 use shared::weights::trust::seal;
 use shared::weights::{IMAGE_BYTES, SIGNED_BYTES, decode, encode};
 
@@ -127,6 +129,23 @@ pub fn conversation(data: &[u8]) -> Vec<ToHost> {
     said
 }
 
+/// Flash that takes everything and keeps nothing.
+struct NoFlash;
+
+impl Store for NoFlash {
+    fn store_weights(&mut self, _: &[u8; IMAGE_BYTES]) -> (Result<Slot, StoreError>, [SlotState; 2]) {
+        (Ok(Slot::A), [SlotState::Torn; 2])
+    }
+
+    fn store_calibration(&mut self, _: &Calibration) -> Result<u16, Refusal> {
+        Ok(1)
+    }
+
+    fn calibration(&mut self, _: u16) -> (u16, Option<Calibration>) {
+        (0, None)
+    }
+}
+
 struct Rig<'a> {
     recorder: Recorder<'a>,
     control: Control,
@@ -160,23 +179,10 @@ impl<'a> Rig<'a> {
     }
 
     fn serve(&mut self, request: &ToDevice) -> ToHost {
-        let mut step = self.server.receive(request, self.ticks);
-        loop {
-            step = match step {
-                NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
-                NextStep::Store => self.server.stored(Ok(Slot::A), [SlotState::Torn; 2]),
-                NextStep::StoreCalibration(calibration) => {
-                    self.server.calibration_stored(&calibration, Ok(1))
-                }
-                NextStep::ReadCalibration { .. } => self.server.calibration_read(0, None),
-                NextStep::Send(answer) | NextStep::Restart(answer) => {
-                    let answered =
-                        matches!(answer, ToHost::Response { sequence, .. } if sequence == request.sequence);
-                    assert!(answered, "{request:?}: {answer:?}");
-                    return answer;
-                }
-            };
-        }
+        let Answer { message, .. } = self.server.serve(request, self.ticks, &mut self.control, &mut NoFlash);
+        let answered = matches!(message, ToHost::Response { sequence, .. } if sequence == request.sequence);
+        assert!(answered, "{request:?}: {message:?}");
+        message
     }
 
     fn tick(&mut self, reading: f32) -> Vec<ToHost> {

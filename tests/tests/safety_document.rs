@@ -5,7 +5,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use shared::safety::alarms::{ALARMS, Priority};
+use shared::safety::alarms::ALARMS;
 use trials::faults::cases::{FaultCase, HAZARDS, LIMIT, Required, cases};
 
 fn document() -> PathBuf {
@@ -17,12 +17,7 @@ fn alarms() -> String {
     let mut table =
         "| alarm | priority | action | entry | exit | text |\n|---|---|---|---|---|---|\n".to_owned();
     for alarm in &ALARMS {
-        let priority = match alarm.priority {
-            Priority::Low => "low",
-            Priority::Medium => "medium",
-            Priority::High => "high",
-        };
-        let action = alarm.action.name();
+        let (priority, action) = (alarm.priority.name(), alarm.action.name());
         let (id, entry, exit, text) = (alarm.id, alarm.entry, alarm.exit, alarm.text);
         writeln!(table, "| `{id}` | {priority} | {action} | {entry} | {exit} | {text} |").unwrap();
     }

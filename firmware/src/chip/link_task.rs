@@ -1,20 +1,19 @@
 //! The link task: it passes bytes, requests and reports between the line, the server and the control task, and owns the flash.
 
 use embassy_futures::select::{Either, select};
-use shared::calibration::stored::StoredCalibrations;
 use shared::device::ControlReport;
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{ToDevice, ToHost, read_request};
 use shared::recorder::keeper::{Keeper, Leave};
-use shared::weights::slots::Slots;
 
 use static_cell::StaticCell;
 
 use super::control_task::{self, REPLY, REPORTS, REQUEST};
 use super::drivers::flash::BoardFlash;
 use super::drivers::{clock, link_uart, supply, watchdog};
-use super::{calibration, prescription, recorder};
+use super::storage::Storage;
+use super::{prescription, recorder};
 
 /// Version of the firmware: major, minor, patch.
 pub const VERSION: [u16; 3] = [
@@ -43,12 +42,7 @@ pub fn prepare(facts: DeviceFacts) -> &'static mut Server<'static> {
 
 /// Serves the link; never returns.
 #[embassy_executor::task]
-pub async fn run(
-    server: &'static mut Server<'static>,
-    mut slots: Slots<BoardFlash>,
-    mut calibrations: Option<StoredCalibrations>,
-    mut keeper: Option<Keeper>,
-) {
+pub async fn run(server: &'static mut Server<'static>, mut storage: Storage, mut keeper: Option<Keeper>) {
     let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
     let mut chunk = [0; CHUNK];
     loop {
@@ -57,7 +51,7 @@ pub async fn run(
                 for byte in &chunk[..count] {
                     if let Poll::Frame(content) = decoder.push(*byte) {
                         match read_request(content) {
-                            Ok(request) => serve(server, &mut slots, &mut calibrations, &request).await,
+                            Ok(request) => serve(server, &mut storage, &request).await,
                             Err(unreadable) => {
                                 if let Some(refusal) = unreadable.refusal() {
                                     send(&refusal).await;
@@ -76,7 +70,7 @@ pub async fn run(
                 if let ControlReport::Counters(_) = report {
                     prescription::tend(control_task::ventilates());
                     if let Some(keeper) = &mut keeper {
-                        keep_recording(keeper, slots.flash());
+                        keep_recording(keeper, storage.flash());
                     }
                 }
             }
@@ -84,40 +78,22 @@ pub async fn run(
     }
 }
 
-/// Handles a request up to its answer.
-async fn serve(
-    server: &mut Server<'_>,
-    slots: &mut Slots<BoardFlash>,
-    calibrations: &mut Option<StoredCalibrations>,
-    request: &ToDevice,
-) {
-    let mut step = server.receive(request, clock::number());
-    loop {
+/// Handles a request up to its answer. Like [`Server::serve`], but the control half answers in its next tick.
+async fn serve(server: &mut Server<'_>, storage: &mut Storage, request: &ToDevice) {
+    let mut step = server.receive(request, clock::number(), storage);
+    let answer = loop {
         step = match step {
-            NextStep::Send(answer) => return send(&answer).await,
             NextStep::Control(request) => {
                 REQUEST.signal(request);
-                server.control_replied(REPLY.wait().await)
+                server.control_replied(REPLY.wait().await, storage)
             }
-            NextStep::Store => {
-                // The core stalls while a sector is erased.
-                let stored = watchdog::with_long_timeout(|| slots.store(server.image()));
-                server.stored(stored.map(|(slot, _)| slot), slots.states())
-            }
-            NextStep::StoreCalibration(measured) => {
-                let stored = calibration::store(calibrations, slots.flash(), &measured);
-                server.calibration_stored(&measured, stored)
-            }
-            NextStep::ReadCalibration { back } => {
-                let (stored, found) = calibration::read(calibrations.as_ref(), slots.flash(), back);
-                server.calibration_read(stored, found)
-            }
-            NextStep::Restart(answer) => {
-                send(&answer).await;
-                link_uart::flush();
-                cortex_m::peripheral::SCB::sys_reset();
-            }
+            NextStep::Answer(answer) => break answer,
         };
+    };
+    send(&answer.message).await;
+    if answer.restart {
+        link_uart::flush();
+        cortex_m::peripheral::SCB::sys_reset();
     }
 }
 

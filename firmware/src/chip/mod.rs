@@ -10,7 +10,6 @@
 //! | idle loop | thread | sleeps until the next interrupt |
 
 mod board;
-mod calibration;
 mod control_task;
 mod drivers;
 mod failure;
@@ -18,6 +17,7 @@ mod link_task;
 mod prescription;
 mod recorder;
 mod self_test;
+mod storage;
 mod trust;
 
 use cortex_m_rt::entry;
@@ -38,6 +38,7 @@ use shared::weights::slots::{Slot, Slots};
 use drivers::flash::BoardFlash;
 use drivers::plant_interface::PlantInterface;
 use drivers::{clock, flash, reset, supply, taken_once};
+use storage::Storage;
 
 static CONTROL: InterruptExecutor = InterruptExecutor::new();
 static LINK: InterruptExecutor = InterruptExecutor::new();
@@ -57,12 +58,12 @@ fn start() {
     let failure = failure::of_last_run();
     let mut board = board::start();
     let reset = reset::cause();
-    let mut storage = Slots::new(board.flash, flash::slots()).trusting(trust::TRUST);
+    let mut stored = Slots::new(board.flash, flash::slots()).trusting(trust::TRUST);
     let kind = board::SelectedPlant::KIND;
     let control = control_task::prepare(kind);
-    let running = load(&mut storage, control);
-    let slots = storage.states();
-    let calibrations = calibration::attach(storage.flash(), control);
+    let running = load(&mut stored, control);
+    let slots = stored.states();
+    let mut storage = Storage::attach(stored, control);
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let (recorder, keeper) = recorder::attach(reset, failure.is_some(), &slots, running, storage.flash());
     if !board.crystal {
@@ -95,14 +96,14 @@ fn start() {
     ));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
     LINK.start(interrupt::CAN2_RX0)
-        .spawn(taken_once(link_task::run(link_task::prepare(facts), storage, calibrations, keeper).ok()));
+        .spawn(taken_once(link_task::run(link_task::prepare(facts), storage, keeper).ok()));
     clock::start(&mut board.core);
 }
 
 /// Gives the control half the weights in flash; the slot they are from. A separate function, so that they leave the stack.
 #[inline(never)]
-fn load(storage: &mut Slots<BoardFlash>, control: &mut Control) -> Option<Slot> {
-    let (slot, ()) = storage.load(|image| control.learn(&image.residual))?;
+fn load(stored: &mut Slots<BoardFlash>, control: &mut Control) -> Option<Slot> {
+    let (slot, ()) = stored.load(|image| control.learn(&image.residual))?;
     Some(slot)
 }
 

@@ -103,7 +103,7 @@ impl AlarmList {
         let info = |(fault, entry): (&Fault, &Entry)| AlarmInfo {
             id: fault.alarm().id,
             text: words::fault(*fault),
-            priority: words::priority(fault.alarm().priority),
+            priority: fault.alarm().priority.name(),
             present: entry.present,
             since_ms: entry.since_ms,
             acknowledged: entry.acknowledged,

@@ -18,6 +18,7 @@ use shared::link::messages::{DeviceIdentity, Event};
 use shared::link::telemetry::PackedSample;
 use shared::settings::Settings;
 use shared::ventilator::Sample;
+use shared::weights::ImageId;
 use show::monitor::News;
 
 use crate::stream::{BreathFigures, RecordingInfo, Triggers};
@@ -377,7 +378,7 @@ impl Recorder {
     fn provenance(&self, identity: Option<&DeviceIdentity>) -> Provenance {
         let mut provenance = Provenance::new(self.period_us, format!("trainer serve: {}", self.name));
         let weights = identity.and_then(DeviceIdentity::running_id);
-        provenance.weights_id = weights.map_or_else(String::new, |id| format!("{id:08x}"));
+        provenance.weights_id = weights.map_or_else(String::new, |id| ImageId(id).to_string());
         provenance.settings = Value::Null;
         provenance
     }

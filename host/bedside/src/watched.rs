@@ -359,7 +359,7 @@ impl Watched {
             settings: reported.in_force,
             pending: reported.pending,
             alarms: self.alarms.list(),
-            audio: Audio { priority: audio.priority.map(words::priority), pause_left: audio.pause_left },
+            audio: Audio { priority: audio.priority.map(Priority::name), pause_left: audio.pause_left },
             steered_by: page.map(str::to_owned),
             lease: reported.lease.as_ref().and_then(holder),
             ticks: self.ticks(),

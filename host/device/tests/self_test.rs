@@ -1,6 +1,6 @@
 //! The self-test of a device on the virtual bench: each step passes on a sound machine, and fails with an injected fault.
 
-use plant::bench::{Bench, BenchConfig, Failure};
+use plant::bench::{BenchConfig, BenchPlant, Failure};
 use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
 use shared::device::control::Control;
 use shared::device::self_test::{BootFindings, Check, Finding, Outcome, Report, Step};
@@ -13,6 +13,7 @@ use shared::settings::Settings;
 use shared::ventilator::Mode;
 use shared::weights::ImageProblem;
 use shared::weights::slots::SlotState;
+use virtual_chip::Rig;
 
 /// Ticks in which every check has ended.
 const LONG: usize = 15_000;
@@ -22,11 +23,8 @@ type Distortion = fn(Readings, u32) -> Readings;
 
 /// A device on a bench.
 struct Machine {
-    control: Control,
-    bench: Bench,
-    command: ValveCommand,
+    rig: Rig,
     distortion: Distortion,
-    tick: u32,
     /// Highest true pressure so far, cmH2O.
     peak: f64,
 }
@@ -38,32 +36,22 @@ impl Machine {
     fn new(config: &BenchConfig, boot: &BootFindings) -> Self {
         let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, 1_000_000).unwrap();
         control.require_self_test(boot);
-        Self {
-            control,
-            bench: Bench::new(config, 5.0, 3).unwrap(),
-            command: ValveCommand::SAFE,
-            distortion: |readings, _| readings,
-            tick: 0,
-            peak: 0.0,
-        }
+        let plant = BenchPlant::at_rest(config, 5.0, 3).unwrap();
+        Self { rig: Rig::new(control, plant, 5.0), distortion: |readings, _| readings, peak: 0.0 }
     }
 
     fn run(&mut self, ticks: usize) {
         for _ in 0..ticks {
-            if let Some(peep) = self.control.plant_change().peep {
-                self.bench.set_peep(peep);
-            }
-            let airway = self.bench.step(self.command.u_in(), self.command.u_out());
-            let (outlet, flow) = (self.bench.outlet_reading(), self.bench.flow_reading());
-            let readings = (self.distortion)(Readings { airway, outlet, flow }, self.tick);
-            self.command = self.control.step(readings).command;
-            self.tick += 1;
-            self.peak = self.peak.max(self.bench.airway_pressure());
+            self.rig.follow();
+            self.rig.run_plant();
+            let readings = (self.distortion)(self.rig.readings(), self.rig.ticks);
+            self.rig.step(readings);
+            self.peak = self.peak.max(self.rig.plant.bench.airway_pressure());
         }
     }
 
     fn ask(&mut self, request: &ControlRequest) -> Response {
-        let reply = self.control.execute(request);
+        let reply = self.rig.control.execute(request);
         let ControlReply::Response(response) = reply else { panic!("{reply:?}") };
         response
     }
@@ -99,7 +87,7 @@ fn lung() -> BenchConfig {
 /// A lung whose tube is occluded: the patient port is closed.
 fn closed_port() -> Machine {
     let mut machine = Machine::new(&lung(), &SOUND);
-    machine.bench.fail(Failure::TubeOccluded);
+    machine.rig.plant.bench.fail(Failure::TubeOccluded);
     machine.run(1000);
     machine
 }
@@ -129,7 +117,7 @@ fn what_the_start_of_the_chip_finds_prevents_ventilation() {
         let mut machine = Machine::new(&lung(), &boot);
         machine.run(2000);
         assert_eq!(machine.start(), Response::Refused(Refusal::SelfTestFailed { step, finding }));
-        assert_eq!(machine.control.mode(), Mode::Standby);
+        assert_eq!(machine.rig.control.mode(), Mode::Standby);
     }
 }
 
@@ -147,9 +135,9 @@ fn an_interrupted_ventilation_resumes_whatever_the_self_test_finds() {
     let boot = BootFindings { program: Some(false), memory: Some(false), ..SOUND };
     let mut machine = Machine::new(&lung(), &boot);
     machine.run(2);
-    machine.control.resume(&paper_settings(20.0)).unwrap();
+    machine.rig.control.resume(&paper_settings(20.0)).unwrap();
     machine.run(2000);
-    assert_eq!(machine.control.mode(), Mode::Ventilating);
+    assert_eq!(machine.rig.control.mode(), Mode::Ventilating);
 }
 
 /// Every way in which a sensor is wrong at rest.
@@ -195,7 +183,7 @@ fn once_passed_the_sensors_are_left_to_the_monitors() {
 /// A machine at the pressure of the air, whose sensors are off.
 fn open_circuit(distortion: Distortion) -> Machine {
     let mut machine = Machine::new(&lung(), &SOUND);
-    machine.bench.fail(Failure::Disconnected);
+    machine.rig.plant.bench.fail(Failure::Disconnected);
     machine.distortion = distortion;
     machine.run(3000);
     machine
@@ -212,14 +200,14 @@ fn zeroing_removes_the_offsets_of_both_pressure_sensors() {
     // Zeroing again changes nothing, and the offset that it reports is the whole one.
     let again = machine.check(Check::Zero)[Step::Zero as usize];
     assert!((again.value - zero.value).abs() < 0.05, "{again:?}");
-    machine.bench.restore();
+    machine.rig.plant.bench.restore();
     machine.run(3000);
     machine.start();
     machine.run(2900);
-    let output = machine.control.step(Readings { airway: 6.6, outlet: 3.8, flow: 0.0 });
+    let output = machine.rig.control.step(Readings { airway: 6.6, outlet: 3.8, flow: 0.0 });
     let pressure = output.sample.unwrap().pressure;
     assert!((pressure - 5.0).abs() < 0.4, "the ventilator sees {pressure} without the offset");
-    let moment = machine.control.moment(6.6, &output, 0).reading;
+    let moment = machine.rig.control.moment(6.6, &output, 0).reading;
     assert!(
         (moment - pressure).abs() < 1e-6,
         "the flight recorder records what the ventilator saw: {moment}"
@@ -231,7 +219,7 @@ fn a_zero_that_is_too_far_off_is_refused_and_changes_nothing() {
     let mut machine = open_circuit(|r, _| Readings { airway: r.airway + 2.6, outlet: r.outlet + 2.6, ..r });
     let zero = machine.check(Check::Zero)[Step::Zero as usize];
     assert_eq!(zero.outcome, Outcome::Failed(Finding::ZeroTooFar));
-    assert!(machine.control.moment(1.0, &machine.control.clone().step(1.0), 0).reading > 0.99);
+    assert!(machine.rig.control.moment(1.0, &machine.rig.control.clone().step(1.0), 0).reading > 0.99);
     let failed = Refusal::SelfTestFailed { step: Step::Zero, finding: Finding::ZeroTooFar };
     assert_eq!(machine.start(), Response::Refused(failed));
     // At PEEP nothing can be zeroed either.
@@ -272,7 +260,7 @@ fn without_a_flow_sensor_the_circuit_passes_without_a_compliance() {
 fn finding_with(failure: Failure) -> (Step, Finding) {
     let mut machine = Machine::new(&lung(), &SOUND);
     machine.run(1000);
-    machine.bench.fail(failure);
+    machine.rig.plant.bench.fail(failure);
     let report = machine.check(Check::Circuit);
     assert!(machine.peak < 60.0, "{failure:?}: {}", machine.peak);
     let found =
@@ -282,7 +270,7 @@ fn finding_with(failure: Failure) -> (Step, Finding) {
         });
     let (step, finding) = found.unwrap_or_else(|| panic!("{failure:?}: {report:?}"));
     let refused = Refusal::SelfTestFailed { step, finding };
-    machine.bench.restore();
+    machine.rig.plant.bench.restore();
     machine.run(6000);
     assert_eq!(machine.start(), Response::Refused(refused));
     (step, finding)
@@ -335,7 +323,7 @@ fn a_relief_valve_that_opens_too_early_or_not_at_all_fails() {
         let mut config = lung();
         config.circuit.relief_opening_cmh2o = opening;
         let mut machine = Machine::new(&config, &SOUND);
-        machine.bench.fail(Failure::TubeOccluded);
+        machine.rig.plant.bench.fail(Failure::TubeOccluded);
         machine.run(1000);
         let relief = machine.check(Check::Relief)[Step::Relief as usize];
         assert_eq!(relief.outcome, Outcome::Failed(finding), "{relief:?}");
@@ -346,7 +334,7 @@ fn a_relief_valve_that_opens_too_early_or_not_at_all_fails() {
 #[test]
 fn an_open_port_is_no_relief_valve() {
     let mut machine = Machine::new(&lung(), &SOUND);
-    machine.bench.fail(Failure::Disconnected);
+    machine.rig.plant.bench.fail(Failure::Disconnected);
     machine.run(1000);
     let relief = machine.check(Check::Relief)[Step::Relief as usize];
     assert_eq!(relief.outcome, Outcome::Failed(Finding::NoRise), "{relief:?}");
@@ -358,13 +346,13 @@ fn checks_are_refused_while_it_ventilates_or_another_runs_and_a_stop_ends_them()
     machine.run(1000);
     machine.ask(&ControlRequest::SelfTest(Some(Check::Circuit)));
     machine.run(500);
-    assert!(!machine.command.u_out(), "the valves move");
+    assert!(!machine.rig.command.u_out(), "the valves move");
     let refused = Response::Refused(Refusal::SelfTestRuns);
     assert_eq!(machine.ask(&ControlRequest::SelfTest(Some(Check::Relief))), refused);
     assert_eq!(machine.start(), refused);
     machine.ask(&ControlRequest::Stop);
     machine.run(1);
-    assert_eq!(machine.command, ValveCommand::SAFE);
+    assert_eq!(machine.rig.command, ValveCommand::SAFE);
     assert_eq!([Step::Valves, Step::Circuit].map(|step| machine.outcome(step)), [Outcome::NotRun; 2]);
     machine.run(3000);
     assert_eq!(machine.start(), Response::Mode(Mode::Ventilating));
@@ -380,7 +368,7 @@ fn a_lost_reading_or_an_alarm_ends_a_check_with_safe_valves() {
     machine.run(500);
     machine.distortion = |r, _| Readings { airway: f32::NAN, ..r };
     machine.run(1);
-    assert_eq!(machine.command, ValveCommand::SAFE, "at once");
+    assert_eq!(machine.rig.command, ValveCommand::SAFE, "at once");
     machine.run(LONG);
     let outcome = machine.outcome(Step::Valves);
     assert!(matches!(outcome, Outcome::Failed(Finding::NoReading | Finding::Alarm)), "{outcome:?}");

@@ -6,7 +6,7 @@ use shared::control::memory::Lesson;
 use shared::device::annunciator::AudioStatus;
 use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind, LeaseStatus};
 use shared::reset::ResetCause;
-use shared::safety::alarms::{Fault, Priority};
+use shared::safety::alarms::Fault;
 use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Field, Settings};
 use shared::ventilator::Mode;
@@ -23,15 +23,6 @@ pub fn mode(mode: Mode) -> String {
 /// The fault detected by a monitor.
 pub fn fault(fault: Fault) -> &'static str {
     fault.alarm().text
-}
-
-/// Priority of an alarm.
-pub fn priority(priority: Priority) -> &'static str {
-    match priority {
-        Priority::High => "high",
-        Priority::Medium => "medium",
-        Priority::Low => "low",
-    }
 }
 
 /// The level of the ladder that commands the inspiratory valve.
@@ -54,7 +45,7 @@ pub fn indicated(alarms: &AlarmStatus) -> Vec<Fault> {
 /// An indicated alarm: priority, text, and whether its condition is gone.
 pub fn alarm(indicated: Fault, alarms: &AlarmStatus) -> String {
     let gone = if alarms.present.has(indicated) { "" } else { " (gone)" };
-    format!("{}: {}{gone}", priority(indicated.alarm().priority), fault(indicated))
+    format!("{}: {}{gone}", indicated.alarm().priority.name(), fault(indicated))
 }
 
 /// The state of the sounder.
@@ -62,7 +53,7 @@ pub fn audio(audio: &AudioStatus) -> String {
     match audio {
         AudioStatus { pause_left: 0, priority: None } => "no alarm sounds".to_owned(),
         AudioStatus { pause_left: 0, priority: Some(sounding) } => {
-            format!("sounds for an alarm of {} priority", priority(*sounding))
+            format!("sounds for an alarm of {} priority", sounding.name())
         }
         AudioStatus { pause_left, .. } => format!("paused, {pause_left} s left"),
     }

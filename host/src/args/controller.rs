@@ -8,7 +8,7 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::Residual;
 use shared::device::KNOWN_GOOD;
-use shared::weights::decode;
+use shared::weights::{ImageId, decode};
 
 use super::gains::{format_gains, gains};
 use super::plant::{own_period_us, period_us};
@@ -289,7 +289,7 @@ pub fn read(file: &Path) -> anyhow::Result<Vec<u8>> {
 
 /// The id of an image: its checksum in hexadecimal.
 pub fn image_id(id: u32) -> String {
-    format!("{id:08x}")
+    ImageId(id).to_string()
 }
 
 #[cfg(test)]

@@ -161,11 +161,6 @@ fn alone(
 }
 
 fn alarms(summary: &Summary) -> Table {
-    let priority = |row: &AlarmRow| match row.priority {
-        Priority::High => "high",
-        Priority::Medium => "medium",
-        Priority::Low => "low",
-    };
     let undeserved = |row: &AlarmRow| match row.priority {
         Priority::Low => Cell::right("-"),
         _ => Cell::count(row.undeserved as usize),
@@ -175,7 +170,7 @@ fn alarms(summary: &Summary) -> Table {
         &summary.alarms,
         &[
             ("alarm", &|row| Cell::text(row.id)),
-            ("priority", &|row| Cell::text(priority(row))),
+            ("priority", &|row| Cell::text(row.priority.name())),
             ("deserved", &|row| Cell::count(row.deserved as usize)),
             ("undeserved", &undeserved),
             ("per patient-day", &|row| Cell::number(row.per_patient_day, 2)),

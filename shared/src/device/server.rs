@@ -1,13 +1,15 @@
 //! The half of a device that serves the host: it answers requests, batches telemetry and receives uploads.
 //!
-//! It never blocks. [`Server::receive`] returns a [`NextStep`]; the caller executes it and passes the result back until the
-//! step is an answer. The server handles one request at a time.
+//! It stores and reads in the flash through a [`Store`], and waits for nothing else: [`Server::receive`] returns a
+//! [`NextStep`], and the caller passes requests to the control half until the step is an answer. [`Server::serve`] does that
+//! where the control half answers at once. The server handles one request at a time.
 //!
 //! A host that gets no answer repeats its request with the same sequence number. The server stores its last answer and
 //! sends it again, so that no request is executed twice.
 
 use heapless::{String, Vec};
 
+use super::control::Control;
 use super::lease::Lease;
 use super::upload::Upload;
 use super::{ControlReply, ControlReport, ControlRequest, Status};
@@ -63,24 +65,41 @@ impl DeviceFacts {
     }
 }
 
+/// A device's flash, as far as a host can use it.
+pub trait Store {
+    /// Stores a validated image; returns its slot, and then the state of both slots.
+    fn store_weights(&mut self, image: &[u8; IMAGE_BYTES]) -> (Result<Slot, StoreError>, [SlotState; 2]);
+
+    /// Stores a calibration; returns the number of stored ones.
+    ///
+    /// # Errors
+    /// The reason for which it was not stored.
+    fn store_calibration(&mut self, calibration: &Calibration) -> Result<u16, Refusal>;
+
+    /// The number of stored calibrations, and one of them: 0 for the newest, 1 for the one before, and so on.
+    fn calibration(&mut self, back: u16) -> (u16, Option<Calibration>);
+}
+
 /// Next step of the caller.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a chip has no allocator, and every request ends with the larger one"
+)]
 pub enum NextStep {
-    /// Send this message.
-    Send(ToHost),
     /// Let the control half execute this request, then call [`Server::control_replied`].
     Control(ControlRequest),
-    /// Store [`Server::image`] in the flash, then call [`Server::stored`].
-    Store,
-    /// Store this calibration in the flash, then call [`Server::calibration_stored`].
-    StoreCalibration(Calibration),
-    /// Read a calibration, 0 for the newest, then call [`Server::calibration_read`].
-    ReadCalibration {
-        /// 0 for the newest, 1 for the one before, and so on.
-        back: u16,
-    },
-    /// Send this message completely, then restart.
-    Restart(ToHost),
+    /// Send this answer.
+    Answer(Answer),
+}
+
+/// The answer to a request.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answer {
+    /// The message to send.
+    pub message: ToHost,
+    /// Whether to restart once it is sent completely.
+    pub restart: bool,
 }
 
 /// Use of the control half's reply.
@@ -112,8 +131,6 @@ pub struct Server<'a> {
     counters: Counters,
     upload: Upload,
     lease: Lease,
-    /// Id of the image that is being stored.
-    committed: u32,
     sequence: u16,
     continuation: Continuation,
     /// Sequence number, host and answer of the last request.
@@ -132,7 +149,6 @@ impl<'a> Server<'a> {
             batcher: Batcher::default(),
             counters: Counters::default(),
             upload: Upload::new(),
-            committed: 0,
             sequence: 0,
             continuation: Continuation::Forward,
             last: None,
@@ -140,24 +156,37 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// The validated image for [`NextStep::Store`].
-    pub fn image(&self) -> &[u8; IMAGE_BYTES] {
-        self.upload.bytes()
-    }
-
     /// Sets the number of corrupt frames from the host, for the telemetry.
     pub fn corrupt_frames(&mut self, count: u32) {
         self.counters.corrupt_frames = count;
     }
 
+    /// Handles a request up to its answer, with a control half that answers at once. Arguments as in [`Self::receive`].
+    pub fn serve(
+        &mut self,
+        message: &ToDevice,
+        tick: u32,
+        control: &mut Control,
+        store: &mut impl Store,
+    ) -> Answer {
+        let mut step = self.receive(message, tick, store);
+        loop {
+            step = match step {
+                NextStep::Control(request) => self.control_replied(control.execute(&request), store),
+                NextStep::Answer(answer) => return answer,
+            };
+        }
+    }
+
     /// Handles a request that arrives at a control tick; the number of the tick may wrap.
-    pub fn receive(&mut self, message: &ToDevice, tick: u32) -> NextStep {
+    pub fn receive(&mut self, message: &ToDevice, tick: u32, store: &mut impl Store) -> NextStep {
         let ToDevice { sequence, request, host } = message;
         self.lease.heard(*host, tick);
         if let Some((.., response)) = self.last.as_ref().filter(|last| (last.0, last.1) == (*sequence, *host))
             && *request != Request::Identify
         {
-            return NextStep::Send(ToHost::Response { sequence: *sequence, response: response.clone() });
+            let message = ToHost::Response { sequence: *sequence, response: response.clone() };
+            return NextStep::Answer(Answer { message, restart: false });
         }
         (self.sequence, self.host) = (*sequence, *host);
         if let Err(refusal) = self.permits(request) {
@@ -187,7 +216,10 @@ impl<'a> Server<'a> {
             Request::StoreCalibration(calibration) => {
                 (Continuation::StoreCalibration(*calibration), ControlRequest::Status)
             }
-            Request::GetCalibration { back } => return NextStep::ReadCalibration { back: *back },
+            Request::GetCalibration { back } => {
+                let (stored, calibration) = store.calibration(*back);
+                return self.send(Ok(Response::Calibration { stored, calibration }));
+            }
             Request::Reset => (Continuation::Restart, ControlRequest::Status),
             Request::GetRecorder => return self.send(Ok(Response::Recorder(self.recorder.status()))),
             Request::ReadRecorder { part, from } => {
@@ -230,7 +262,7 @@ impl<'a> Server<'a> {
     }
 
     /// Continues after [`NextStep::Control`] with the control half's reply.
-    pub fn control_replied(&mut self, reply: ControlReply) -> NextStep {
+    pub fn control_replied(&mut self, reply: ControlReply, store: &mut impl Store) -> NextStep {
         let status = match reply {
             ControlReply::Response(response) => return self.send(Ok(response)),
             ControlReply::Status(status) => status,
@@ -249,29 +281,28 @@ impl<'a> Server<'a> {
             // An erase stalls the chip, and with it the command of a valve.
             Continuation::Commit if status.moves_valves => self.send(Err(Refusal::SelfTestRuns)),
             Continuation::Commit => match idle.and_then(|()| self.upload.commit(&self.facts.trust)) {
-                Ok(id) => {
-                    self.committed = id;
-                    NextStep::Store
-                }
+                Ok(id) => self.store_weights(id, store),
                 Err(refusal) => self.send(Err(refusal)),
             },
-            Continuation::StoreCalibration(calibration) => match may_calibrate(&status, &calibration) {
-                Ok(()) => NextStep::StoreCalibration(calibration),
-                Err(refusal) => self.send(Err(refusal)),
-            },
+            Continuation::StoreCalibration(calibration) => {
+                let stored = may_calibrate(&status, &calibration);
+                let stored = stored.and_then(|()| store.store_calibration(&calibration));
+                self.calibration_stored(&calibration, stored)
+            }
             Continuation::Calibrated { stored, calibration } => {
                 self.send(Ok(Response::Calibration { stored, calibration: Some(calibration) }))
             }
-            Continuation::Restart if idle.is_ok() => NextStep::Restart(self.answer(Response::Done)),
+            Continuation::Restart if idle.is_ok() => {
+                NextStep::Answer(Answer { message: self.answer(Response::Done), restart: true })
+            }
             Continuation::Restart => self.send(Err(Refusal::Ventilating)),
         }
     }
 
-    /// Continues after [`NextStep::Store`] with the slot of the stored image and both slots' new state.
-    pub fn stored(&mut self, slot: Result<Slot, StoreError>, slots: [SlotState; 2]) -> NextStep {
-        debug_assert!(slot.is_err() || self.continuation == Continuation::Commit, "only a commit stores");
+    /// Stores the uploaded image, which has this id.
+    fn store_weights(&mut self, id: u32, store: &mut impl Store) -> NextStep {
+        let (slot, slots) = store.store_weights(self.upload.bytes());
         self.facts.slots = slots;
-        let id = self.committed;
         let refusal = |error| match error {
             StoreError::NotNewer { version, stored } => Refusal::OldWeights { version, stored },
             StoreError::Flash(_) => Refusal::Storage,
@@ -279,13 +310,8 @@ impl<'a> Server<'a> {
         self.send(slot.map(|slot| Response::Weights { id, slot }).map_err(refusal))
     }
 
-    /// Continues after [`NextStep::StoreCalibration`] with the number of calibrations that are stored now.
-    pub fn calibration_stored(
-        &mut self,
-        calibration: &Calibration,
-        stored: Result<u16, Refusal>,
-    ) -> NextStep {
-        debug_assert!(self.continuation == Continuation::StoreCalibration(*calibration));
+    /// Lets the control half take over a calibration that was stored, as one of this number.
+    fn calibration_stored(&mut self, calibration: &Calibration, stored: Result<u16, Refusal>) -> NextStep {
         let correction = SensorCorrection::new(calibration).map_err(Refusal::from);
         match stored.and_then(|stored| Ok((stored, correction?))) {
             Ok((stored, correction)) => {
@@ -296,13 +322,9 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// Continues after [`NextStep::ReadCalibration`] with the number of stored calibrations and the one that was read.
-    pub fn calibration_read(&mut self, stored: u16, calibration: Option<Calibration>) -> NextStep {
-        self.send(Ok(Response::Calibration { stored, calibration }))
-    }
-
     fn send(&mut self, result: Result<Response, Refusal>) -> NextStep {
-        NextStep::Send(self.answer(result.unwrap_or_else(Response::Refused)))
+        let message = self.answer(result.unwrap_or_else(Response::Refused));
+        NextStep::Answer(Answer { message, restart: false })
     }
 
     /// Not inlined: it copies an answer, and each inlined instance takes a kilobyte of flash.

@@ -13,9 +13,10 @@ use std::vec::Vec;
 use proptest::prelude::*;
 
 use super::control::{Control, QUEUE_LENGTH};
-use super::server::{DeviceFacts, NextStep, Server};
+use super::server::{DeviceFacts, Server, Store};
 use super::*;
 use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+use crate::calibration::Calibration;
 use crate::calibration::stored::StoredCalibrations;
 use crate::control::features::FeatureSpec;
 use crate::control::memory::{LEARNING, Lesson};
@@ -53,12 +54,50 @@ struct Rig {
     events: Vec<ToHost>,
     sequence: u16,
     ticks: u32,
-    stored: Vec<[u8; IMAGE_BYTES]>,
-    flash: Nor<4, SECTOR>,
-    calibrations: StoredCalibrations,
-    flash_fails: bool,
+    flash: Flash,
     restarts: usize,
     recorder: Recorder<'static>,
+}
+
+/// Flash that keeps the stored images apart from the calibrations, and fails as it is set to.
+struct Flash {
+    images: Vec<[u8; IMAGE_BYTES]>,
+    cells: Nor<4, SECTOR>,
+    calibrations: StoredCalibrations,
+    fails: Option<StoreError>,
+}
+
+impl Flash {
+    fn new() -> Self {
+        let mut cells = Nor::new();
+        let calibrations = StoredCalibrations::open(&mut cells, 0, SECTOR as u32);
+        Self { images: Vec::new(), cells, calibrations, fails: None }
+    }
+
+    fn failing() -> Self {
+        Self { fails: Some(StoreError::Flash(FlashError::Operation)), ..Self::new() }
+    }
+}
+
+impl Store for Flash {
+    fn store_weights(&mut self, image: &[u8; IMAGE_BYTES]) -> (Result<Slot, StoreError>, [SlotState; 2]) {
+        if let Some(error) = self.fails {
+            return (Err(error), [SlotState::Empty, SlotState::Torn]);
+        }
+        self.images.push(*image);
+        let id = decode(image).unwrap().id;
+        (Ok(Slot::B), [SlotState::Empty, SlotState::Valid { generation: 4, id }])
+    }
+
+    fn store_calibration(&mut self, calibration: &Calibration) -> Result<u16, Refusal> {
+        self.cells.supply = if self.fails.is_some() { 0 } else { usize::MAX };
+        let stored = self.calibrations.store(&mut self.cells, calibration);
+        stored.map(|()| self.calibrations.count()).map_err(|_| Refusal::CalibrationStorage)
+    }
+
+    fn calibration(&mut self, back: u16) -> (u16, Option<Calibration>) {
+        (self.calibrations.count(), self.calibrations.get(&mut self.cells, back))
+    }
 }
 
 /// The control half with a learned controller, if any.
@@ -80,7 +119,6 @@ impl Rig {
         let facts = DeviceFacts { firmware: [1, 2, 3], trust, ..blank };
         let memory: &'static RecorderMemory = Box::leak(Box::new(RecorderMemory::new()));
         let boot = Boot { cause: facts.reset, failed: false, weights: None, restored: false };
-        let mut flash = Nor::new();
         Self {
             recorder: Recorder::attach(memory, boot),
             control: control(facts.device, learned).with_monitors(Monitors::ANY_PLANT),
@@ -89,10 +127,7 @@ impl Rig {
             events: Vec::new(),
             sequence: 0,
             ticks: 0,
-            stored: Vec::new(),
-            calibrations: StoredCalibrations::open(&mut flash, 0, SECTOR as u32),
-            flash,
-            flash_fails: false,
+            flash: Flash::new(),
             restarts: 0,
         }
     }
@@ -144,46 +179,14 @@ impl Rig {
     }
 
     fn ask_as(&mut self, sequence: u16, host: Option<u32>, request: Request) -> Response {
-        let mut step = self.server.receive(&ToDevice { sequence, request, host }, self.ticks);
-        loop {
-            step = match step {
-                NextStep::Send(ToHost::Response { sequence: answered, response }) => {
-                    assert_eq!(answered, sequence);
-                    return response;
-                }
-                NextStep::Restart(ToHost::Response { response, .. }) => {
-                    self.restarts += 1;
-                    return response;
-                }
-                NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
-                NextStep::Store => {
-                    let image = *self.server.image();
-                    if self.flash_fails {
-                        self.server.stored(
-                            Err(StoreError::Flash(FlashError::Operation)),
-                            [SlotState::Empty, SlotState::Torn],
-                        )
-                    } else {
-                        self.stored.push(image);
-                        let id = decode(&image).unwrap().id;
-                        self.server
-                            .stored(Ok(Slot::B), [SlotState::Empty, SlotState::Valid { generation: 4, id }])
-                    }
-                }
-                NextStep::StoreCalibration(calibration) => {
-                    self.flash.supply = if self.flash_fails { 0 } else { usize::MAX };
-                    let stored = self.calibrations.store(&mut self.flash, &calibration);
-                    let stored = stored.map(|()| self.calibrations.count());
-                    self.server
-                        .calibration_stored(&calibration, stored.map_err(|_| Refusal::CalibrationStorage))
-                }
-                NextStep::ReadCalibration { back } => {
-                    let calibration = self.calibrations.get(&mut self.flash, back);
-                    self.server.calibration_read(self.calibrations.count(), calibration)
-                }
-                other => panic!("no answer: {other:?}"),
-            };
-        }
+        let request = ToDevice { sequence, request, host };
+        let answer = self.server.serve(&request, self.ticks, &mut self.control, &mut self.flash);
+        self.restarts += usize::from(answer.restart);
+        let ToHost::Response { sequence: answered, response } = answer.message else {
+            panic!("no answer: {answer:?}")
+        };
+        assert_eq!(answered, sequence);
+        response
     }
 
     /// The summaries of the breaths so far.

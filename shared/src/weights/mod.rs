@@ -37,6 +37,8 @@ mod image;
 pub mod slots;
 pub mod trust;
 
+use core::fmt;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -91,6 +93,16 @@ pub struct Image {
     pub golden: Golden,
     /// The image's checksum, which identifies it.
     pub id: u32,
+}
+
+/// The id of an image, to be written in hexadecimal.
+#[derive(Clone, Copy, Debug)]
+pub struct ImageId(pub u32);
+
+impl fmt::Display for ImageId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:08x}", self.0)
+    }
 }
 
 /// Reason for refusing an image.

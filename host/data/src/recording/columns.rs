@@ -1,67 +1,9 @@
-//! The columns of a recording by name, so that files, checks and joins treat them the same.
+//! The one list of a recording's columns. The table, its rows and what files, checks and joins need of a column
+//! are all made from it.
 
 use std::fmt;
 
-use super::table::Recording;
-
-/// An optional column of a recording.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Extra {
-    /// True airway pressure, without sensor, cmH2O.
-    PressureTrue,
-    /// Pressure after the sensor's lag, before noise and rounding, cmH2O.
-    PressureSensorTrue,
-    /// Flow into the patient circuit, L/s.
-    FlowIn,
-    /// Flow out of the patient circuit, L/s.
-    FlowOut,
-    /// Airway resistance of the lung, cmH2O/(L/s).
-    Resistance,
-    /// Compliance of the lung, mL/cmH2O.
-    Compliance,
-    /// Command of a second inspiratory valve (oxygen), percent.
-    UPsol,
-    /// Index into the provenance's `groups`.
-    Group,
-}
-
-impl Extra {
-    /// Every optional column, in file order.
-    pub const ALL: [Self; 8] = [
-        Self::PressureTrue,
-        Self::PressureSensorTrue,
-        Self::FlowIn,
-        Self::FlowOut,
-        Self::Resistance,
-        Self::Compliance,
-        Self::UPsol,
-        Self::Group,
-    ];
-
-    /// The columns that only a bench knows.
-    pub const TRUTH: [Self; 6] = [
-        Self::PressureTrue,
-        Self::PressureSensorTrue,
-        Self::FlowIn,
-        Self::FlowOut,
-        Self::Resistance,
-        Self::Compliance,
-    ];
-
-    /// Name of the column in files, equal to the field of [`Recording`].
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::PressureTrue => "pressure_true",
-            Self::PressureSensorTrue => "pressure_sensor_true",
-            Self::FlowIn => "flow_in",
-            Self::FlowOut => "flow_out",
-            Self::Resistance => "resistance",
-            Self::Compliance => "compliance",
-            Self::UPsol => "u_psol",
-            Self::Group => "group",
-        }
-    }
-}
+use crate::provenance::Provenance;
 
 /// The type of a column's numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -115,73 +57,155 @@ impl<A, B, C> Column<A, B, C> {
     }
 }
 
-impl Recording {
-    /// The columns that are present, in file order.
-    pub(super) fn columns(&self) -> Vec<(&'static str, Values<'_>)> {
-        let mut columns = vec![
-            ("breath", Values::U32(&self.breath)),
-            ("tick", Values::U32(&self.tick)),
-            ("phase", Values::U8(&self.phase)),
-            ("target", Values::F32(&self.target)),
-            ("pressure", Values::F32(&self.pressure)),
-            ("u_in", Values::F32(&self.u_in)),
-            ("u_out", Values::F32(&self.u_out)),
-            ("explore", Values::F32(&self.explore)),
-            ("pip", Values::F32(&self.pip)),
-            ("peep", Values::F32(&self.peep)),
-        ];
-        for extra in Extra::ALL {
-            let values = match extra {
-                Extra::PressureTrue => self.pressure_true.as_deref().map(Values::F32),
-                Extra::PressureSensorTrue => self.pressure_sensor_true.as_deref().map(Values::F32),
-                Extra::FlowIn => self.flow_in.as_deref().map(Values::F32),
-                Extra::FlowOut => self.flow_out.as_deref().map(Values::F32),
-                Extra::Resistance => self.resistance.as_deref().map(Values::F32),
-                Extra::Compliance => self.compliance.as_deref().map(Values::F32),
-                Extra::UPsol => self.u_psol.as_deref().map(Values::F32),
-                Extra::Group => self.group.as_deref().map(Values::U32),
-            };
-            columns.extend(values.map(|values| (extra.name(), values)));
+/// Makes [`Recording`], [`Row`] and [`Extra`] from the list of columns: those that every recording has, each with
+/// its type; and the optional ones, each with its variant of [`Extra`], its type and the value that stands for a
+/// missing one.
+macro_rules! columns {
+    (
+        $($(#[$doc:meta])+ $name:ident: $kind:ident($number:ty);)+
+        optional
+        $(
+            $(#[$extra_doc:meta])+
+            $variant:ident $extra:ident: $extra_kind:ident($extra_number:ty) or $missing:expr;
+        )+
+    ) => {
+        /// A recording. All columns have the same length; see [`Self::validate`] for the other rules.
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct Recording {
+            /// Origin of the rows.
+            pub provenance: Provenance,
+            $($(#[$doc])+ pub $name: Vec<$number>,)+
+            $($(#[$extra_doc])+ pub $extra: Option<Vec<$extra_number>>,)+
         }
-        columns
-    }
 
-    /// Like [`Self::columns`], with mutable access.
-    pub(super) fn columns_mut(&mut self) -> Vec<(&'static str, ValuesMut<'_>)> {
-        let mut columns = vec![
-            ("breath", ValuesMut::U32(&mut self.breath)),
-            ("tick", ValuesMut::U32(&mut self.tick)),
-            ("phase", ValuesMut::U8(&mut self.phase)),
-            ("target", ValuesMut::F32(&mut self.target)),
-            ("pressure", ValuesMut::F32(&mut self.pressure)),
-            ("u_in", ValuesMut::F32(&mut self.u_in)),
-            ("u_out", ValuesMut::F32(&mut self.u_out)),
-            ("explore", ValuesMut::F32(&mut self.explore)),
-            ("pip", ValuesMut::F32(&mut self.pip)),
-            ("peep", ValuesMut::F32(&mut self.peep)),
-        ];
-        let numbers = [
-            (Extra::PressureTrue, &mut self.pressure_true),
-            (Extra::PressureSensorTrue, &mut self.pressure_sensor_true),
-            (Extra::FlowIn, &mut self.flow_in),
-            (Extra::FlowOut, &mut self.flow_out),
-            (Extra::Resistance, &mut self.resistance),
-            (Extra::Compliance, &mut self.compliance),
-            (Extra::UPsol, &mut self.u_psol),
-        ];
-        for (extra, values) in numbers {
-            columns.extend(values.as_mut().map(|values| (extra.name(), ValuesMut::F32(values))));
+        /// One control tick.
+        #[derive(Debug, Clone, Copy, PartialEq, Default)]
+        pub struct Row {
+            $($(#[$doc])+ pub $name: $number,)+
+            $($(#[$extra_doc])+ pub $extra: Option<$extra_number>,)+
         }
-        let group = self.group.as_mut();
-        columns.extend(group.map(|values| (Extra::Group.name(), ValuesMut::U32(values))));
-        columns
-    }
+
+        /// An optional column of a recording.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub enum Extra {
+            $($(#[$extra_doc])+ $variant,)+
+        }
+
+        impl Extra {
+            /// Every optional column, in file order.
+            pub const ALL: [Self; [$(stringify!($extra)),+].len()] = [$(Self::$variant),+];
+
+            /// Name of the column in files, equal to the field of [`Recording`].
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => stringify!($extra),)+
+                }
+            }
+        }
+
+        impl Recording {
+            /// An empty recording with the given optional columns.
+            pub fn with_extras(provenance: Provenance, extras: &[Extra]) -> Self {
+                Self {
+                    provenance,
+                    $($name: Vec::new(),)+
+                    $($extra: extras.contains(&Extra::$variant).then(Vec::new),)+
+                }
+            }
+
+            /// Adds one tick. Values for columns that this recording does not have are ignored; a required value that
+            /// the row lacks is stored as missing, which [`Self::validate`] refuses.
+            pub fn push(&mut self, row: Row) {
+                $(self.$name.push(row.$name);)+
+                $(if let Some(column) = &mut self.$extra {
+                    column.push(row.$extra.unwrap_or($missing));
+                })+
+            }
+
+            /// A row; none beyond the last one.
+            pub fn row(&self, row: usize) -> Option<Row> {
+                Some(Row {
+                    $($name: *self.$name.get(row)?,)+
+                    $($extra: self.$extra.as_ref().and_then(|column| column.get(row).copied()),)+
+                })
+            }
+
+            /// The columns that are present, in file order.
+            pub(super) fn columns(&self) -> Vec<(&'static str, Values<'_>)> {
+                let mut columns = vec![$((stringify!($name), Values::$kind(&self.$name))),+];
+                $(if let Some(values) = &self.$extra {
+                    columns.push((stringify!($extra), Values::$extra_kind(values)));
+                })+
+                columns
+            }
+
+            /// Like [`Self::columns`], with mutable access.
+            pub(super) fn columns_mut(&mut self) -> Vec<(&'static str, ValuesMut<'_>)> {
+                let mut columns = vec![$((stringify!($name), ValuesMut::$kind(&mut self.$name))),+];
+                $(if let Some(values) = &mut self.$extra {
+                    columns.push((stringify!($extra), ValuesMut::$extra_kind(values)));
+                })+
+                columns
+            }
+        }
+    };
+}
+
+columns! {
+    /// Number of the breath, ascending.
+    breath: U32(u32);
+    /// Control ticks since the start of the breath.
+    tick: U32(u32);
+    /// [`INSPIRATION`](super::INSPIRATION), [`FALL`](super::FALL) or [`EXPIRATION`](super::EXPIRATION).
+    phase: U8(u8);
+    /// Requested pressure, cmH2O.
+    target: F32(f32);
+    /// Measured pressure, cmH2O.
+    pressure: F32(f32);
+    /// Applied command of the inspiratory valve, percent.
+    u_in: F32(f32);
+    /// Command of the expiratory valve, percent from closed to open; on/off valves use 0 and 100.
+    u_out: F32(f32);
+    /// Part of `u_in` added by exploration, percent.
+    explore: F32(f32);
+    /// PIP (peak inspiratory pressure) setting, cmH2O.
+    pip: F32(f32);
+    /// PEEP (positive end-expiratory pressure) setting, cmH2O.
+    peep: F32(f32);
+    optional
+    /// True airway pressure, without sensor, cmH2O. Benches only.
+    PressureTrue pressure_true: F32(f32) or f32::NAN;
+    /// Pressure after the sensor's lag, before noise and rounding, cmH2O. Benches only.
+    PressureSensorTrue pressure_sensor_true: F32(f32) or f32::NAN;
+    /// Flow into the patient circuit, L/s.
+    FlowIn flow_in: F32(f32) or f32::NAN;
+    /// Flow out of the patient circuit, L/s.
+    FlowOut flow_out: F32(f32) or f32::NAN;
+    /// Airway resistance of the lung, cmH2O/(L/s).
+    Resistance resistance: F32(f32) or f32::NAN;
+    /// Compliance of the lung, mL/cmH2O.
+    Compliance compliance: F32(f32) or f32::NAN;
+    /// Command of the second inspiratory valve (oxygen), percent.
+    UPsol u_psol: F32(f32) or f32::NAN;
+    /// Index into `provenance.groups`.
+    Group group: U32(u32) or u32::MAX;
+}
+
+impl Extra {
+    /// The columns that only a bench knows.
+    pub const TRUTH: [Self; 6] = [
+        Self::PressureTrue,
+        Self::PressureSensorTrue,
+        Self::FlowIn,
+        Self::FlowOut,
+        Self::Resistance,
+        Self::Compliance,
+    ];
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::provenance::Provenance;
 
     #[test]
     fn both_lists_name_the_same_columns_in_the_same_order() {

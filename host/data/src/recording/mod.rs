@@ -14,10 +14,8 @@ mod table;
 mod tests;
 mod writer;
 
-pub use columns::Extra;
+pub use columns::{Extra, Recording, Row};
 pub use error::DatasetError;
 pub use parquet_file::PROVENANCE_KEY;
-pub use table::{
-    EXPIRATION, FALL, INSPIRATION, PHASE_NAMES, Recording, Row, numbered_phase, phase_number, range,
-};
+pub use table::{EXPIRATION, FALL, INSPIRATION, PHASE_NAMES, numbered_phase, phase_number, range};
 pub use writer::RecordingWriter;

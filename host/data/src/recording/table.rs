@@ -1,10 +1,11 @@
-//! One recording in memory: a structure of arrays with one entry per control tick.
+//! One recording in memory: a structure of arrays with one entry per control tick, whose columns are listed in
+//! [`super::columns`].
 
 use std::ops::Range;
 
 use shared::breath::Phase;
 
-use super::columns::{Extra, Values, ValuesMut};
+use super::columns::{Extra, Recording, Row, Values, ValuesMut};
 use super::error::DatasetError;
 use crate::identity::{LungParameters, TestRun};
 use crate::provenance::Provenance;
@@ -42,73 +43,6 @@ pub fn range(values: &[f32]) -> Option<(f32, f32)> {
     values.iter().copied().reduce(f32::min).zip(values.iter().copied().reduce(f32::max))
 }
 
-/// A recording. All columns have the same length; see [`Self::validate`] for the other rules.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Recording {
-    /// Origin of the rows.
-    pub provenance: Provenance,
-    /// Number of the breath, ascending.
-    pub breath: Vec<u32>,
-    /// Control ticks since the start of the breath.
-    pub tick: Vec<u32>,
-    /// [`INSPIRATION`], [`FALL`] or [`EXPIRATION`].
-    pub phase: Vec<u8>,
-    /// Requested pressure, cmH2O.
-    pub target: Vec<f32>,
-    /// Measured pressure, cmH2O.
-    pub pressure: Vec<f32>,
-    /// Applied command of the inspiratory valve, percent.
-    pub u_in: Vec<f32>,
-    /// Command of the expiratory valve, percent from closed to open; on/off valves use 0 and 100.
-    pub u_out: Vec<f32>,
-    /// Part of `u_in` added by exploration, percent.
-    pub explore: Vec<f32>,
-    /// PIP (peak inspiratory pressure) setting, cmH2O.
-    pub pip: Vec<f32>,
-    /// PEEP (positive end-expiratory pressure) setting, cmH2O.
-    pub peep: Vec<f32>,
-    /// True airway pressure, without sensor, cmH2O. Benches only.
-    pub pressure_true: Option<Vec<f32>>,
-    /// Pressure after the sensor's lag, before noise and rounding, cmH2O. Benches only.
-    pub pressure_sensor_true: Option<Vec<f32>>,
-    /// Flow into the patient circuit, L/s.
-    pub flow_in: Option<Vec<f32>>,
-    /// Flow out of the patient circuit, L/s.
-    pub flow_out: Option<Vec<f32>>,
-    /// Airway resistance, cmH2O/(L/s).
-    pub resistance: Option<Vec<f32>>,
-    /// Lung compliance, mL/cmH2O.
-    pub compliance: Option<Vec<f32>>,
-    /// Command of the second inspiratory valve (oxygen), percent.
-    pub u_psol: Option<Vec<f32>>,
-    /// Index into `provenance.groups`.
-    pub group: Option<Vec<u32>>,
-}
-
-/// One control tick; fields as in [`Recording`].
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[expect(missing_docs, reason = "each field is documented at the column of the same name")]
-pub struct Row {
-    pub breath: u32,
-    pub tick: u32,
-    pub phase: u8,
-    pub target: f32,
-    pub pressure: f32,
-    pub u_in: f32,
-    pub u_out: f32,
-    pub explore: f32,
-    pub pip: f32,
-    pub peep: f32,
-    pub pressure_true: Option<f32>,
-    pub pressure_sensor_true: Option<f32>,
-    pub flow_in: Option<f32>,
-    pub flow_out: Option<f32>,
-    pub resistance: Option<f32>,
-    pub compliance: Option<f32>,
-    pub u_psol: Option<f32>,
-    pub group: Option<u32>,
-}
-
 impl Row {
     /// The lung, if the row gives R and C.
     pub fn lung(&self) -> Option<LungParameters> {
@@ -120,57 +54,6 @@ impl Recording {
     /// An empty recording, with the columns of [`Extra::TRUTH`] or without any optional column.
     pub fn new(provenance: Provenance, with_truth: bool) -> Self {
         Self::with_extras(provenance, if with_truth { &Extra::TRUTH } else { &[] })
-    }
-
-    /// An empty recording with the given optional columns.
-    pub fn with_extras(provenance: Provenance, extras: &[Extra]) -> Self {
-        let column = |extra: Extra| extras.contains(&extra).then(Vec::new);
-        Self {
-            provenance,
-            breath: Vec::new(),
-            tick: Vec::new(),
-            phase: Vec::new(),
-            target: Vec::new(),
-            pressure: Vec::new(),
-            u_in: Vec::new(),
-            u_out: Vec::new(),
-            explore: Vec::new(),
-            pip: Vec::new(),
-            peep: Vec::new(),
-            pressure_true: column(Extra::PressureTrue),
-            pressure_sensor_true: column(Extra::PressureSensorTrue),
-            flow_in: column(Extra::FlowIn),
-            flow_out: column(Extra::FlowOut),
-            resistance: column(Extra::Resistance),
-            compliance: column(Extra::Compliance),
-            u_psol: column(Extra::UPsol),
-            group: extras.contains(&Extra::Group).then(Vec::new),
-        }
-    }
-
-    /// Adds one tick. Values for columns that this recording does not have are ignored; a required value that the row
-    /// lacks is stored as missing, which [`Self::validate`] refuses.
-    pub fn push(&mut self, row: Row) {
-        self.breath.push(row.breath);
-        self.tick.push(row.tick);
-        self.phase.push(row.phase);
-        self.target.push(row.target);
-        self.pressure.push(row.pressure);
-        self.u_in.push(row.u_in);
-        self.u_out.push(row.u_out);
-        self.explore.push(row.explore);
-        self.pip.push(row.pip);
-        self.peep.push(row.peep);
-        push_extra(&mut self.pressure_true, row.pressure_true);
-        push_extra(&mut self.pressure_sensor_true, row.pressure_sensor_true);
-        push_extra(&mut self.flow_in, row.flow_in);
-        push_extra(&mut self.flow_out, row.flow_out);
-        push_extra(&mut self.resistance, row.resistance);
-        push_extra(&mut self.compliance, row.compliance);
-        push_extra(&mut self.u_psol, row.u_psol);
-        if let Some(group) = &mut self.group {
-            group.push(row.group.unwrap_or(u32::MAX));
-        }
     }
 
     /// Removes the columns of the truth that were never filled.
@@ -244,31 +127,6 @@ impl Recording {
             other.git_revision,
         ));
         mine.notes.extend_from_slice(&other.notes);
-    }
-
-    /// A row; none beyond the last one.
-    pub fn row(&self, row: usize) -> Option<Row> {
-        let extra = |column: &Option<Vec<f32>>| column.as_ref().and_then(|values| values.get(row).copied());
-        Some(Row {
-            breath: *self.breath.get(row)?,
-            tick: *self.tick.get(row)?,
-            phase: *self.phase.get(row)?,
-            target: *self.target.get(row)?,
-            pressure: *self.pressure.get(row)?,
-            u_in: *self.u_in.get(row)?,
-            u_out: *self.u_out.get(row)?,
-            explore: *self.explore.get(row)?,
-            pip: *self.pip.get(row)?,
-            peep: *self.peep.get(row)?,
-            pressure_true: extra(&self.pressure_true),
-            pressure_sensor_true: extra(&self.pressure_sensor_true),
-            flow_in: extra(&self.flow_in),
-            flow_out: extra(&self.flow_out),
-            resistance: extra(&self.resistance),
-            compliance: extra(&self.compliance),
-            u_psol: extra(&self.u_psol),
-            group: self.group.as_ref().and_then(|group| group.get(row).copied()),
-        })
     }
 
     /// The test run of a row.
@@ -355,12 +213,6 @@ impl Recording {
             Some(row) => Err(DatasetError::Order(row)),
             None => Ok(()),
         }
-    }
-}
-
-fn push_extra(column: &mut Option<Vec<f32>>, value: Option<f32>) {
-    if let Some(column) = column {
-        column.push(value.unwrap_or(f32::NAN));
     }
 }
 

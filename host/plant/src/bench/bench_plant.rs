@@ -2,14 +2,15 @@
 
 use shared::settings::Settings;
 
-use super::{Bench, BenchConfig, BenchError, Failure, end_stops, steps_per_period};
+use super::{Bench, BenchConfig, BenchError, end_stops, steps_per_period};
 use crate::{Plant, Reading};
 
 /// A bench behind a sensor and two valves. It steps in whole milliseconds; at other periods it reads NaN.
 #[derive(Clone, Debug)]
 pub struct BenchPlant {
     config: BenchConfig,
-    bench: Bench,
+    /// The bench, whose parts may be made to fail at any time.
+    pub bench: Bench,
     /// Number of bench steps in a control period; `None` if the last reset failed.
     steps: u32,
 }
@@ -20,23 +21,15 @@ impl BenchPlant {
     /// # Errors
     /// A bench that cannot be built.
     pub fn new(config: &BenchConfig) -> Result<Self, BenchError> {
-        let bench = Bench::new(config, Settings::default().peep, 0)?;
-        Ok(Self { config: config.clone(), bench, steps: 1 })
+        Self::at_rest(config, Settings::default().peep, 0)
     }
 
-    /// Makes a part fail until [`Self::restore`] or the next reset.
-    pub fn fail(&mut self, failure: Failure) {
-        self.bench.fail(failure);
-    }
-
-    /// Ends every failure.
-    pub fn restore(&mut self) {
-        self.bench.restore();
-    }
-
-    /// Makes the patient cough now, with this peak pressure, cmH2O.
-    pub fn cough(&mut self, peak: f64) {
-        self.bench.cough(peak);
+    /// The same at another PEEP, cmH2O, and with this seed of its random numbers.
+    ///
+    /// # Errors
+    /// As [`Bench::new`].
+    pub fn at_rest(config: &BenchConfig, peep: f32, seed: u64) -> Result<Self, BenchError> {
+        Ok(Self { config: config.clone(), bench: Bench::new(config, peep, seed)?, steps: 1 })
     }
 
     fn reading(&mut self, pressure: f32) -> Reading {
@@ -81,7 +74,7 @@ impl Plant for BenchPlant {
 
 #[cfg(test)]
 mod tests {
-    use super::super::PEEP_RANGE_CMH2O;
+    use super::super::{Failure, PEEP_RANGE_CMH2O};
     use super::*;
 
     fn plant() -> BenchPlant {
@@ -108,14 +101,14 @@ mod tests {
             (0..1000).map(|_| plant.step(15.0, false).unwrap().pressure).fold(0.0, f32::max)
         };
         let sound = highest(&mut plant);
-        plant.fail(Failure::Disconnected);
+        plant.bench.fail(Failure::Disconnected);
         highest(&mut plant);
         assert!(highest(&mut plant) < 2.0);
-        plant.restore();
+        plant.bench.restore();
         (0..5).for_each(|_| _ = highest(&mut plant));
         assert!(highest(&mut plant) >= sound - 1.0);
         let mut coughing = BenchPlant::new(&BenchConfig::paper(20.0, 20.0)).unwrap();
-        coughing.cough(40.0);
+        coughing.bench.cough(40.0);
         assert!(highest(&mut coughing) > sound + 10.0);
     }
 

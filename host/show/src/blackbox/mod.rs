@@ -9,6 +9,7 @@ pub use csv::csv;
 pub use figures::report;
 use shared::control::memory::Lesson;
 use shared::recorder::{ChipEvent, Happening, LogEntry, RecordingState};
+use shared::weights::ImageId;
 
 use crate::monitor::words;
 use crate::report::{Cell, Table};
@@ -103,7 +104,7 @@ pub fn event(happening: Happening) -> String {
             let after = if failed { ", after the program failed" } else { "" };
             format!("started by: {}{after}", words::reset(cause))
         }
-        Happening::Weights(id) => format!("loaded weights {id:08x}"),
+        Happening::Weights(id) => format!("loaded weights {}", ImageId(id)),
         Happening::Start => "ventilation started".to_owned(),
         Happening::Stop => "ventilation stopped".to_owned(),
         Happening::Fault(fault) => format!("fault: {}", words::fault(fault)),

@@ -21,6 +21,7 @@ use shared::link::telemetry::{BreathSummary, TelemetryBatch};
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 use shared::ventilator::opening;
+use shared::weights::ImageId;
 
 use super::News;
 use super::words;
@@ -178,7 +179,7 @@ impl Capture {
             "port": port,
             "device": words::identity(identity),
             "period_us": identity.period_us,
-            "weights_id": identity.running_id().map_or_else(String::new, |id| format!("{id:08x}")),
+            "weights_id": identity.running_id().map_or_else(String::new, |id| ImageId(id).to_string()),
             "git_revision": git_revision(),
             "started_ns": now_ns,
         }))?;
@@ -299,7 +300,7 @@ impl Capture {
 
     fn alarm(&mut self, fault: Fault, tick: u64, time_ns: u64) -> Result<(), ExportError> {
         self.alarms.insert(fault, Written { tick, batches: self.batches });
-        let (id, priority) = (fault.alarm().id, words::priority(fault.alarm().priority));
+        let (id, priority) = (fault.alarm().id, fault.alarm().priority.name());
         let message = Alarm { id, priority, text: words::fault(fault), tick };
         self.writer.write(self.clock.time(tick).unwrap_or(time_ns), &message)
     }

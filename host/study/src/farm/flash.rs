@@ -4,7 +4,7 @@ use super::folder::Flashed;
 use super::{FarmError, FarmRun, Worker};
 use learn::controller::learned::LearnedError;
 use progress::Progress;
-use shared::weights::decode;
+use shared::weights::{ImageId, decode};
 
 impl FarmRun<'_> {
     /// Uploads the image that the crosswise evaluation has found best for this unit, restarts the device, and checks which weights it
@@ -44,9 +44,5 @@ impl FarmRun<'_> {
 
 /// The id of an image, as text.
 pub(super) fn id_of(image: &[u8]) -> Result<String, FarmError> {
-    Ok(text(decode(image).map_err(LearnedError::from)?.id))
-}
-
-fn text(id: u32) -> String {
-    format!("{id:08x}")
+    Ok(ImageId(decode(image).map_err(LearnedError::from)?.id).to_string())
 }

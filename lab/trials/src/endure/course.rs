@@ -4,12 +4,10 @@ use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::device::prescription::PrescriptionMemory;
 use shared::safety::alarms::Fault;
-use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;
 use shared::safety::monitors::Monitors;
-use shared::sensor::Readings;
 use shared::settings::Settings;
-use shared::ventilator::Mode;
+use shared::ventilator::{Mode, VentilatorState};
 
 use super::deserved::{Verdict, judge};
 use super::efforts::{EffortTick, EffortWatch};
@@ -17,9 +15,9 @@ use super::missed::{Condition, MissedWatch};
 use super::patient::Patient;
 use super::tally::PatientResult;
 use super::truth::{BreathTruth, History, Moment};
-use crate::faults::rig::Rig;
+use crate::faults::rig::Attended;
 use crate::faults::volume::VolumeMeter;
-use plant::bench::{Bench, BenchConfig};
+use plant::bench::{BenchConfig, BenchPlant};
 use ventilator::SourceError;
 
 /// Share of a passive breath's volume from which a breath counts as delivered.
@@ -108,7 +106,7 @@ pub fn run(
         if let Some((at_ms, failure)) = patient.failure
             && ms == at_ms
         {
-            stay.bench.fail(failure);
+            stay.device.rig.plant.bench.fail(failure);
         }
         stay.tick(ms, observer);
     }
@@ -138,7 +136,8 @@ fn sound_volume(patient: &Patient, controller: &Controller, seconds: f64) -> Res
             .map(|breaths| (breaths * 60_000.0 / f64::from(settings.rate)).round() as u32);
         for ms in 0..to_ms {
             if ms == from_ms {
-                stay.volume = VolumeMeter::new(threshold, stay.bench.truth().lung_volume_ml, ms);
+                let volume_ml = stay.device.rig.plant.bench.truth().lung_volume_ml;
+                stay.volume = VolumeMeter::new(threshold, volume_ml, ms);
             }
             stay.tick(ms, &mut ());
         }
@@ -151,9 +150,7 @@ fn sound_volume(patient: &Patient, controller: &Controller, seconds: f64) -> Res
 /// A stay in progress.
 struct Stay<'a> {
     patient: &'a Patient,
-    rig: Rig<'a>,
-    bench: Bench,
-    readings: Readings,
+    device: Attended<'a>,
     history: History,
     watch: MissedWatch,
     efforts: EffortWatch,
@@ -176,14 +173,14 @@ impl<'a> Stay<'a> {
         threshold: f64,
     ) -> Result<Self, SourceError> {
         let settings = &patient.settings;
-        let bench = Bench::new(bench, settings.peep, patient.seed)?;
+        let plant = BenchPlant::at_rest(bench, settings.peep, patient.seed)?;
+        let volume_ml = plant.bench.truth().lung_volume_ml;
         Ok(Self {
-            rig: Rig::started(memory, controller, settings, Monitors::ALL, None)?,
-            readings: Readings::from(settings.peep),
+            device: Attended::started(memory, plant, controller, settings, Monitors::ALL, None),
             history: History::new(patient),
             watch: MissedWatch::default(),
             efforts: EffortWatch::default(),
-            volume: VolumeMeter::new(threshold, bench.truth().lung_volume_ml, 0),
+            volume: VolumeMeter::new(threshold, volume_ml, 0),
             changes: 0,
             at: (0, 0),
             stopped_ms: None,
@@ -192,7 +189,6 @@ impl<'a> Stay<'a> {
                 peak_above_limit: f64::NEG_INFINITY,
                 ..PatientResult::default()
             },
-            bench,
             patient,
         })
     }
@@ -206,29 +202,31 @@ impl<'a> Stay<'a> {
             && f64::from(ms) >= change.at_s * 1e3
         {
             self.changes += 1;
-            self.rig.apply(change.settings);
+            self.device.apply(change.settings);
             self.tell(&Event::Settings(change.settings), ms, observer);
         }
         if self.stopped_ms.is_some_and(|stopped| ms - stopped >= RESTARTED_AFTER) {
-            self.rig.restart();
+            self.device.restart();
             self.stopped_ms = None;
         }
     }
 
+    fn state(&self) -> &VentilatorState {
+        self.device.rig.control.state()
+    }
+
     fn tell(&self, event: &Event, ms: u32, observer: &mut dyn Observer) {
-        let ((breath, tick), level) = (self.at, self.rig.state().level());
+        let ((breath, tick), level) = (self.at, self.state().level());
         observer.event(event, &Scene { ms, breath, tick, level, history: &self.history });
     }
 
     fn tick(&mut self, ms: u32, observer: &mut dyn Observer) {
-        if let Some(peep) = self.rig.new_peep() {
-            self.bench.set_peep(peep);
-        }
-        let begins = self.rig.state().mode() == Mode::Ventilating && self.rig.state().tick() == 0;
-        let output = self.rig.step(self.readings, 0);
+        self.device.rig.follow();
+        let begins = self.state().mode() == Mode::Ventilating && self.state().tick() == 0;
+        let output = self.device.step(self.device.rig.readings(), 0);
         self.at = output.sample.map_or(self.at, |sample| (sample.breath, sample.tick));
         if begins {
-            self.history.start_breath(self.rig.state().breath().settings());
+            self.history.start_breath(self.device.rig.control.state().breath().settings());
         }
         if let Some(fault) = output.alarm {
             let verdict = judge(fault, &self.history);
@@ -245,21 +243,18 @@ impl<'a> Stay<'a> {
             self.result.interruptions += 1;
             self.tell(&Event::Interrupted(output.mode), ms, observer);
         }
-        let command = output.command;
-        let airway = self.bench.step(command.u_in(), command.u_out());
-        let (outlet, flow) = (self.bench.outlet_reading(), self.bench.flow_reading());
-        self.readings = Readings { airway, outlet, flow };
+        self.device.rig.run_plant();
         // Outside a breath no phase ends.
-        self.record(command, output.sample.map_or(0, |_| self.at.1));
+        self.record(output.sample.map_or(0, |_| self.at.1));
         if output.sample.is_some() {
             self.follow_effort();
         }
-        self.volume.add(self.bench.truth().lung_volume_ml, ms);
+        self.volume.add(self.device.rig.plant.bench.truth().lung_volume_ml, ms);
     }
 
     /// Finds the alarms that the last breath should have raised.
     fn find_missed(&mut self, ms: u32, observer: &mut dyn Observer) {
-        let present = self.rig.state().indications().present();
+        let present = self.state().indications().present();
         if let Some(last) = self.history.last() {
             let missed: Vec<_> = self.watch.add(last, present).collect();
             for condition in missed {
@@ -270,7 +265,7 @@ impl<'a> Stay<'a> {
     }
 
     fn follow_effort(&mut self) {
-        let (truth, state) = (self.bench.truth(), self.rig.state());
+        let (truth, state) = (self.device.rig.plant.bench.truth(), self.device.rig.control.state());
         self.efforts.add(&EffortTick {
             muscle_pressure: truth.muscle_pressure,
             efforts: truth.efforts,
@@ -280,17 +275,17 @@ impl<'a> Stay<'a> {
         });
     }
 
-    fn record(&mut self, command: ValveCommand, tick: u32) {
-        let breath = self.rig.state().breath();
-        let truth = self.bench.truth();
+    fn record(&mut self, tick: u32) {
+        let rig = &self.device.rig;
+        let (breath, truth) = (rig.control.state().breath(), rig.plant.bench.truth());
         let limit = f64::from(breath.settings().pressure_limit);
         self.result.peak_true = self.result.peak_true.max(truth.airway_pressure);
         self.result.peak_above_limit = self.result.peak_above_limit.max(truth.airway_pressure - limit);
         self.history.add(&Moment {
             truth: &truth,
-            leak: self.bench.leak(),
-            readings: &self.readings,
-            command: (command.u_in(), command.u_out()),
+            leak: rig.plant.bench.leak(),
+            readings: &rig.readings(),
+            command: (rig.command.u_in(), rig.command.u_out()),
             tick,
             inspiration: breath.inspiration_ticks(),
             total: breath.total_ticks(),

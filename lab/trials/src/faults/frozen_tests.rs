@@ -3,8 +3,8 @@
 
 use super::cases::LIMIT;
 use super::hostile::sound_controller;
-use super::rig::Rig;
-use plant::bench::{Bench, BenchConfig};
+use super::rig::Attended;
+use plant::bench::{BenchConfig, BenchPlant};
 use rayon::prelude::*;
 use shared::breath::{PAPER_PIPS, paper_settings};
 use shared::device::prescription::PrescriptionMemory;
@@ -71,11 +71,11 @@ fn course(
 ) -> (Vec<f64>, Vec<(Fault, u32)>) {
     let controller = sound_controller().unwrap();
     let memory = PrescriptionMemory::new();
-    let mut rig = Rig::started(&memory, &controller, settings, Monitors::ALL, None).unwrap();
-    let mut bench = Bench::new(bench, settings.peep, 1).unwrap();
-    let mut readings = Readings::from(settings.peep);
+    let plant = BenchPlant::at_rest(bench, settings.peep, 1).unwrap();
+    let mut device = Attended::started(&memory, plant, &controller, settings, Monitors::ALL, None);
     let (mut pressures, mut alarms, mut held) = (Vec::new(), Vec::new(), None);
     for ms in 0..until_ms {
+        let mut readings = device.rig.readings();
         if let Some((_, sensors)) = freeze.filter(|(at, _)| ms >= *at) {
             let held: Readings = *held.get_or_insert(readings);
             if sensors != Sensors::OutletOfTwo {
@@ -85,11 +85,10 @@ fn course(
                 readings.outlet = held.outlet;
             }
         }
-        let output = rig.step(readings, 0);
+        let output = device.step(readings, 0);
         alarms.extend(output.alarm.map(|fault| (fault, ms)));
-        let airway = bench.step(output.command.u_in(), output.command.u_out());
-        readings = Readings { airway, outlet: bench.outlet_reading(), flow: bench.flow_reading() };
-        pressures.push(bench.airway_pressure());
+        device.rig.run_plant();
+        pressures.push(device.rig.plant.bench.airway_pressure());
     }
     (pressures, alarms)
 }

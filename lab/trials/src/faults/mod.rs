@@ -1,7 +1,6 @@
 //! Faults on the virtual bench: does the right monitor fire in time, and does the true pressure stay within its bound?
 
 pub mod cases;
-mod flash;
 #[cfg(test)]
 mod frozen_tests;
 pub(crate) mod hostile;

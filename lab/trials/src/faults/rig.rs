@@ -1,4 +1,4 @@
-//! The device of a trial: the control half as it runs on the chip, its prescription and weight slots, and a host that polls it.
+//! The device of a trial: a [`Rig`] with the prescription and the weight slots of a chip, and a host that polls it.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -9,7 +9,7 @@ use shared::device::ControlRequest;
 use shared::device::absence::ClockTime;
 use shared::device::control::Control;
 use shared::device::prescription::{Interruption, Prescription, PrescriptionMemory};
-use shared::device::server::{DeviceFacts, NextStep, Server};
+use shared::device::server::{DeviceFacts, Server};
 use shared::explore::Exploration;
 use shared::link::host_name::HostName;
 use shared::link::messages::{ControllerChoice, DeviceKind, Request, Response, ToDevice, ToHost};
@@ -20,27 +20,26 @@ use shared::safety::monitors::Monitors;
 use shared::sensor::Readings;
 use shared::settings::Settings;
 use shared::timing::TickTime;
-use shared::ventilator::{Output, VentilatorState};
+use shared::ventilator::Output;
 use shared::weights::slots::SlotState;
-use shared::weights::{IMAGE_BYTES, Identity, Image, encode};
+use shared::weights::{IMAGE_BYTES, Identity, encode};
 
-use super::flash::Flash;
 use super::injection::Damage;
-use device::DeviceError;
 use device::upload::UploadError;
+use plant::bench::BenchPlant;
 use ventilator::SourceError;
+use virtual_chip::{Flash, Rig};
 
 /// Ticks between two requests of the host.
 const HOST_ASKS_EVERY: u32 = 1000;
 /// Ticks between two notes of the time at which the device ventilates.
 const NOTED_EVERY: u32 = 250;
 const TICKS_PER_S: u32 = 1_000_000 / DEFAULT_PERIOD_US;
-/// Clock rate of the simulated device, Hz.
-const CORE_HZ: u32 = 1_000_000;
 
-/// A device and its host.
-pub struct Rig<'a> {
-    control: Control,
+/// A device on a bench, and its host.
+pub struct Attended<'a> {
+    /// The device and its bench.
+    pub rig: Rig,
     memory: &'a PrescriptionMemory,
     prescription: Prescription<'a>,
     learned: Option<Residual>,
@@ -48,84 +47,76 @@ pub struct Rig<'a> {
     monitors: Monitors,
     /// Whether the host still sends requests.
     pub host_speaks: bool,
-    ticks: u32,
 }
 
-impl<'a> Rig<'a> {
-    /// A device just started by a host, with new memory for its prescription.
+impl<'a> Attended<'a> {
+    /// A device just started by a host, with new memory for its prescription, on a plant at rest.
     pub fn started(
         memory: &'a PrescriptionMemory,
+        plant: BenchPlant,
         controller: &Controller,
         settings: &Settings,
         monitors: Monitors,
         exploration: Option<Exploration>,
-    ) -> Result<Self, SourceError> {
+    ) -> Self {
         let learned = match controller {
             Controller::Residual(residual) => Some(residual.clone()),
             Controller::Pid(_) => None,
         };
-        let mut rig = Self {
-            control: device(learned.as_ref(), monitors)?,
+        let control = virtual_chip::control(learned.as_ref()).with_monitors(monitors);
+        let mut attended = Self {
+            rig: Rig::new(control, plant, settings.peep),
             memory,
             prescription: Prescription::attach(memory, None, None),
             learned,
             settings: *settings,
             monitors,
             host_speaks: true,
-            ticks: 0,
         };
-        rig.control.execute(&ControlRequest::Exploration(exploration));
+        attended.rig.control.execute(&ControlRequest::Exploration(exploration));
         if let Controller::Pid(pid) = controller {
-            rig.control.execute(&ControlRequest::Controller(ControllerChoice::Pid(pid.gains())));
+            let choice = ControllerChoice::Pid(pid.gains());
+            attended.rig.control.execute(&ControlRequest::Controller(choice));
         }
-        rig.start();
-        Ok(rig)
+        attended.start();
+        attended
     }
 
     /// Starts the device as a host does.
     pub fn start(&mut self) {
-        self.control.execute(&ControlRequest::Apply(self.settings));
-        self.control.execute(&ControlRequest::Start);
+        self.rig.control.execute(&ControlRequest::Apply(self.settings));
+        self.rig.control.execute(&ControlRequest::Start);
     }
 
     /// The host sends settings for the next breath.
     pub fn apply(&mut self, settings: Settings) {
         self.settings = settings;
-        self.control.execute(&ControlRequest::Apply(settings));
+        self.rig.control.execute(&ControlRequest::Apply(settings));
     }
 
     /// Acknowledges what has stopped the device, and starts it again.
     pub fn restart(&mut self) {
-        self.control.execute(&ControlRequest::Acknowledge);
+        self.rig.control.execute(&ControlRequest::Acknowledge);
         self.start();
     }
 
-    /// The PEEP to which the PEEP valve must be turned before the next tick, cmH2O; none if it is unchanged.
-    pub fn new_peep(&mut self) -> Option<f32> {
-        self.control.plant_change().peep
-    }
-
-    /// Runs one tick.
+    /// Runs one tick of the device; it has missed some before.
     pub fn step(&mut self, readings: Readings, missed: u32) -> Output {
-        self.control.record(&TickTime { latency: 0, work: 0, period: None, missed });
+        let control = &mut self.rig.control;
+        control.record(&TickTime { latency: 0, work: 0, period: None, missed });
         if self.prescription.is_due() {
-            self.prescription.resume(&mut self.control, true);
+            self.prescription.resume(control, true);
         }
-        let output = self.control.step(readings);
-        self.prescription.keep(&self.control, &output);
-        self.ticks += 1;
-        if output.sample.is_some() && self.ticks.is_multiple_of(NOTED_EVERY) {
-            self.memory.ventilates_at(clock(self.ticks / TICKS_PER_S));
+        let output = self.rig.step(readings);
+        self.prescription.keep(&self.rig.control, &output);
+        let ticks = self.rig.ticks;
+        if output.sample.is_some() && ticks.is_multiple_of(NOTED_EVERY) {
+            self.memory.ventilates_at(clock(ticks / TICKS_PER_S));
         }
-        if self.host_speaks && self.ticks.is_multiple_of(HOST_ASKS_EVERY) {
-            self.control.execute(&ControlRequest::Status);
+        if self.host_speaks && ticks.is_multiple_of(HOST_ASKS_EVERY) {
+            self.rig.control.execute(&ControlRequest::Status);
         }
         output
-    }
-
-    /// The ventilator's state.
-    pub fn state(&self) -> &VentilatorState {
-        self.control.state()
     }
 
     /// Another host sends its own settings and gains, and stops the device, while this rig's host holds the lease. Returns
@@ -134,7 +125,9 @@ impl<'a> Rig<'a> {
         let [first, second] = [1, 2];
         let lease = Request::AcquireLease { name: HostName::default(), take_over: false };
         let mut server = Server::new(DeviceFacts::blank(DeviceKind::Simulated), &NO_RECORDING);
-        server.receive(&ToDevice { sequence: 0, request: lease.clone(), host: Some(first) }, self.ticks);
+        let (Rig { control, ticks, .. }, mut flash) = (&mut self.rig, Flash::default());
+        let mut ask = |message| server.serve(&message, *ticks, control, &mut flash);
+        ask(ToDevice { sequence: 0, request: lease.clone(), host: Some(first) });
         let requests = [
             lease,
             Request::ApplySettings(Settings { pip: f32::NAN, ..self.settings }),
@@ -144,28 +137,24 @@ impl<'a> Rig<'a> {
         ];
         let mut refused = true;
         for (sequence, request) in (0..).zip(requests) {
-            let step = server.receive(&ToDevice { sequence, request, host: Some(second) }, self.ticks);
-            if let NextStep::Control(request) = &step {
-                self.control.execute(request);
-            }
+            let answer = ask(ToDevice { sequence, request, host: Some(second) });
             refused &= matches!(
-                step,
-                NextStep::Send(ToHost::Response { response: Response::Refused(Refusal::Lease { .. }), .. })
+                answer.message,
+                ToHost::Response { response: Response::Refused(Refusal::Lease { .. }), .. }
             );
         }
         refused
     }
 
     /// Restarts the chip with the weights it contains, after its supply was away for some seconds.
-    pub fn reset(&mut self, cause: ResetCause, away_s: u32) -> Result<(), SourceError> {
-        let control = device(self.learned.as_ref(), self.monitors)?;
+    pub fn reset(&mut self, cause: ResetCause, away_s: u32) {
+        let control = virtual_chip::control(self.learned.as_ref());
         self.boot(cause, away_s, control, [SlotState::Empty; 2]);
-        Ok(())
     }
 
     /// Restarts the chip with damaged weights in flash.
     pub fn reset_with(&mut self, damage: Damage, rng: &mut ChaCha8Rng) -> Result<(), SourceError> {
-        let mut flash = Flash::new();
+        let mut flash = Flash::default();
         let image = self.image()?;
         // The slots show later whether the store succeeded.
         let _ = flash.slots().store(&image);
@@ -178,8 +167,8 @@ impl<'a> Rig<'a> {
             }
         }
         let mut slots = flash.slots();
-        let image = slots.load(Image::clone).map(|(_, image)| image);
-        let control = device(image.as_ref().map(|image| &image.residual), self.monitors)?;
+        let learned = slots.load(|image| image.residual.clone()).map(|(_, learned)| learned);
+        let control = virtual_chip::control(learned.as_ref());
         self.boot(ResetCause::BrownOut, 0, control, slots.states());
         Ok(())
     }
@@ -192,11 +181,12 @@ impl<'a> Rig<'a> {
     }
 
     fn boot(&mut self, cause: ResetCause, away_s: u32, control: Control, slots: [SlotState; 2]) {
-        let now = clock(self.ticks / TICKS_PER_S + away_s);
+        let now = clock(self.rig.ticks / TICKS_PER_S + away_s);
         self.prescription =
             Prescription::attach(self.memory, Interruption::of(cause, false, false), Some(now));
-        self.control = control;
-        self.control.report_boot(cause, self.prescription.is_interrupted(), &slots);
+        let mut control = control.with_monitors(self.monitors);
+        control.report_boot(cause, self.prescription.is_interrupted(), &slots);
+        self.rig.restart(control);
     }
 }
 
@@ -209,12 +199,3 @@ fn clock(seconds: u32) -> ClockTime {
 
 /// The server's recorder memory; nothing is recorded.
 static NO_RECORDING: RecorderMemory = RecorderMemory::new();
-
-fn device(learned: Option<&Residual>, monitors: Monitors) -> Result<Control, SourceError> {
-    let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ);
-    let mut control = control.map_err(DeviceError::from)?.with_monitors(monitors);
-    if let Some(learned) = learned {
-        control.learn(learned);
-    }
-    Ok(control)
-}

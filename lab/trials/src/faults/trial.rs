@@ -8,17 +8,15 @@ use shared::device::prescription::PrescriptionMemory;
 use shared::explore::Exploration;
 use shared::reset::ResetCause;
 use shared::safety::alarms::{Action, Fault};
-use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;
 use shared::safety::monitors::Monitors;
-use shared::sensor::Readings;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 
 use super::injection::{Injection, SensorFault, Task};
-use super::rig::Rig;
+use super::rig::Attended;
 use super::volume::{Ventilation, VolumeMeter};
-use plant::bench::{Bench, BenchConfig, Failure};
+use plant::bench::{BenchConfig, BenchPlant, Failure};
 use ventilator::SourceError;
 
 /// Distance from PEEP at which the pressure counts as returned, cmH2O.
@@ -99,16 +97,13 @@ impl TrialOutcome {
 /// A running trial.
 struct Run<'a> {
     trial: &'a Trial<'a>,
-    rig: Rig<'a>,
-    bench: Bench,
+    device: Attended<'a>,
     sensor: SensorFault,
     /// For damage to the flash.
     rng: ChaCha8Rng,
-    readings: Readings,
     volume: VolumeMeter,
     /// Smallest volume of a delivered breath, mL.
     delivered_ml: f64,
-    command: ValveCommand,
     missed: u32,
     above_limit: Option<u32>,
     outcome: TrialOutcome,
@@ -122,17 +117,15 @@ pub fn run(trial: &Trial<'_>) -> Result<TrialOutcome, SourceError> {
     // Exploration is what must end when the host is silent.
     let exploration = (trial.injection == Injection::HostSilent).then(Exploration::default);
     let rng = ChaCha8Rng::seed_from_u64(trial.seed);
-    let bench = Bench::new(trial.bench, trial.settings.peep, trial.seed)?;
+    let plant = BenchPlant::at_rest(trial.bench, trial.settings.peep, trial.seed)?;
     let memory = PrescriptionMemory::new();
+    let (settings, monitors) = (&trial.settings, trial.monitors);
     let mut run = Run {
-        rig: Rig::started(&memory, trial.controller, &trial.settings, trial.monitors, exploration)?,
+        device: Attended::started(&memory, plant, trial.controller, settings, monitors, exploration),
         delivered_ml: DELIVERED * tidal_volume_ml(trial.bench, &trial.injection.settings(trial.settings)),
         volume: VolumeMeter::new(0.0, 0.0, 0),
-        bench,
         sensor: SensorFault::new(trial.injection, rng.clone()),
         rng,
-        readings: Readings::from(trial.settings.peep),
-        command: ValveCommand::SAFE,
         missed: 0,
         above_limit: None,
         outcome: TrialOutcome::default(),
@@ -157,19 +150,17 @@ fn tidal_volume_ml(bench: &BenchConfig, settings: &Settings) -> f64 {
 impl Run<'_> {
     fn tick(&mut self, ms: u32) -> Result<(), SourceError> {
         let since = ms.checked_sub(self.trial.onset_ms);
+        let mut readings = self.device.rig.readings();
         let task = match since {
             Some(since) => {
                 self.inject(since);
+                readings = self.sensor.readings(readings);
                 self.trial.injection.task(since)
             }
             None => Task::Runs,
         };
         let alarm = match task {
-            Task::Runs => {
-                let output = self.rig.step(self.readings, std::mem::take(&mut self.missed));
-                self.command = output.command;
-                output.alarm
-            }
+            Task::Runs => self.device.step(readings, std::mem::take(&mut self.missed)).alarm,
             Task::Misses => {
                 self.missed += 1;
                 None
@@ -182,12 +173,8 @@ impl Run<'_> {
         };
         // An alarm before the fault counts too.
         self.outcome.alarms.extend(alarm.map(|fault| (fault, since.unwrap_or(0))));
-        self.readings = Readings {
-            airway: self.bench.step(self.command.u_in(), self.command.u_out()),
-            outlet: self.bench.outlet_reading(),
-            flow: self.bench.flow_reading(),
-        };
-        let volume = f64::from(self.bench.pressures().lung_volume);
+        self.device.rig.run_plant();
+        let volume = f64::from(self.device.rig.plant.bench.pressures().lung_volume);
         match since {
             Some(since) if since > self.trial.judged_after_ms => self.volume.add(volume, ms),
             _ => self.volume = VolumeMeter::new(self.delivered_ml, volume, ms),
@@ -200,49 +187,51 @@ impl Run<'_> {
 
     /// Injects the fault.
     fn inject(&mut self, since: u32) {
+        let bench = &mut self.device.rig.plant.bench;
         match (self.trial.injection, since) {
-            (Injection::Part(failure) | Injection::BothLostAndPart(failure), 0) => self.bench.fail(failure),
-            (Injection::HostSilent, 0) => self.rig.host_speaks = false,
-            (Injection::OtherHost, 0) => self.outcome.refused = self.rig.other_host(),
-            (Injection::Reconnected(_), 0) => self.bench.fail(Failure::Disconnected),
-            (Injection::Reconnected(after), since) if since == after => self.bench.restore(),
-            (Injection::Coughs(peak), _) if self.rig.state().tick() == COUGH_TICK => self.bench.cough(peak),
-            (Injection::CoughTrains(peak), since) if Injection::coughs(since) => self.bench.cough(peak),
-            (Injection::NewLung(resistance, compliance), 0) => self.bench.change_lung(resistance, compliance),
+            (Injection::Part(failure) | Injection::BothLostAndPart(failure), 0) => bench.fail(failure),
+            (Injection::HostSilent, 0) => self.device.host_speaks = false,
+            (Injection::OtherHost, 0) => self.outcome.refused = self.device.other_host(),
+            (Injection::Reconnected(_), 0) => bench.fail(Failure::Disconnected),
+            (Injection::Reconnected(after), since) if since == after => bench.restore(),
+            (Injection::Coughs(peak), _) if self.device.rig.control.state().tick() == COUGH_TICK => {
+                bench.cough(peak);
+            }
+            (Injection::CoughTrains(peak), since) if Injection::coughs(since) => bench.cough(peak),
+            (Injection::NewLung(resistance, compliance), 0) => bench.change_lung(resistance, compliance),
             (Injection::NewTiming(..), 0) => {
-                self.rig.apply(self.trial.injection.settings(self.trial.settings));
+                self.device.apply(self.trial.injection.settings(self.trial.settings));
             }
             _ => {}
         }
-        self.readings = self.sensor.readings(self.readings);
     }
 
     fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
-        self.command = ValveCommand::SAFE;
         self.missed = 0;
         match self.trial.injection {
-            Injection::Weights(damage) => self.rig.reset_with(damage, &mut self.rng),
-            Injection::PowerCut(away_s) => self.rig.reset(cause, away_s),
-            _ => self.rig.reset(cause, 0),
+            Injection::Weights(damage) => self.device.reset_with(damage, &mut self.rng)?,
+            Injection::PowerCut(away_s) => self.device.reset(cause, away_s),
+            _ => self.device.reset(cause, 0),
         }
+        Ok(())
     }
 
     /// Records the effects of the fault.
     fn watch(&mut self, since: u32) {
-        let (outcome, state) = (&mut self.outcome, self.rig.state());
-        let pressure = self.bench.airway_pressure();
+        let (outcome, rig) = (&mut self.outcome, &self.device.rig);
+        let (state, pressure) = (rig.control.state(), rig.plant.bench.airway_pressure());
         outcome.peak_true = outcome.peak_true.max(pressure);
         outcome.level = outcome.level.max(state.level());
         if let Mode::Fault(_) = state.mode() {
             outcome.latched_ms.get_or_insert(since);
         }
         let breath = state.breath();
-        let vents = self.command.u_out();
+        let vents = rig.command.u_out();
         if vents && (state.cut() || state.mode() != Mode::Ventilating) {
             outcome.vented_ms.get_or_insert(since);
         }
         // Of the sensors, as the ventilator sees them; without any the limit cannot be seen.
-        let reading = self.readings.airway;
+        let reading = rig.reading.pressure;
         if reading.is_nan() || reading <= breath.settings().pressure_limit {
             self.above_limit = None;
         } else if !vents {

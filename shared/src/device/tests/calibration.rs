@@ -63,7 +63,7 @@ fn a_calibration_out_of_bounds_is_refused_and_not_stored() {
 
 #[test]
 fn a_calibration_that_the_flash_refuses_corrects_nothing() {
-    let mut rig = Rig { flash_fails: true, ..Rig::new(None) };
+    let mut rig = Rig { flash: Flash::failing(), ..Rig::new(None) };
     let refused = rig.ask(Request::StoreCalibration(SOUND));
     assert_eq!(refused, Response::Refused(Refusal::CalibrationStorage));
     rig.ask(Request::Telemetry { on: true });

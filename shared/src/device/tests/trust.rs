@@ -17,7 +17,7 @@ fn committed(image: &[u8; IMAGE_BYTES]) -> (Response, Rig) {
 fn signed_weights_are_stored_and_others_refused_with_the_reason() {
     let (stored, rig) = committed(&signed(1, 3, 1));
     assert!(matches!(stored, Response::Weights { slot: Slot::B, .. }), "{stored:?}");
-    assert_eq!(rig.stored, [signed(1, 3, 1)]);
+    assert_eq!(rig.flash.images, [signed(1, 3, 1)]);
     let mut altered = signed(1, 3, 1);
     let mut signature = [0; 64];
     signature.copy_from_slice(&altered[IMAGE_BYTES - 68..IMAGE_BYTES - 4]);
@@ -31,20 +31,17 @@ fn signed_weights_are_stored_and_others_refused_with_the_reason() {
     for (image, refusal) in refusals {
         let (answer, rig) = committed(&image);
         assert_eq!(answer, Response::Refused(refusal));
-        assert_eq!(rig.stored.len(), 0, "{refusal}");
+        assert_eq!(rig.flash.images.len(), 0, "{refusal}");
     }
 }
 
 #[test]
 fn weights_that_are_not_newer_are_refused_with_both_versions() {
-    let mut rig = Rig::trusting(None, trust(1));
-    let answer =
-        rig.server.stored(Err(StoreError::NotNewer { version: 3, stored: 5 }), [SlotState::Empty; 2]);
     let refusal = Refusal::OldWeights { version: 3, stored: 5 };
-    assert_eq!(
-        answer,
-        NextStep::Send(ToHost::Response { sequence: 0, response: Response::Refused(refusal) })
-    );
+    let mut rig = Rig::new(None);
+    rig.flash.fails = Some(StoreError::NotNewer { version: 3, stored: 5 });
+    upload(&mut rig, &image());
+    assert_eq!(rig.ask(Request::CommitWeights), Response::Refused(refusal));
     assert!(std::format!("{refusal}").contains("version 3 are not newer than version 5"));
 }
 
