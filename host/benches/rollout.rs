@@ -18,10 +18,10 @@ use shared::control::residual::ResidualSpec;
 const TICKS: u64 = 1000;
 
 fn training(batch: usize) -> Training {
-    let config = StateSpaceConfig::for_period(DEFAULT_PERIOD_US, 1);
+    let architecture = Architecture::StateSpace(StateSpaceConfig::for_period(DEFAULT_PERIOD_US, 1));
     let simulator = Simulator {
-        architecture: Architecture::StateSpace(config),
-        parameters: config.initialise(&mut ChaCha8Rng::seed_from_u64(1)),
+        architecture,
+        parameters: architecture.initialise(&mut ChaCha8Rng::seed_from_u64(1)),
         noise: 0.1,
         start_pressure: 5.0,
         plant: "random".into(),

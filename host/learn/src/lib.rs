@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod controller;
+mod graph;
 mod layers;
 pub mod onnx;
 pub mod pipeline;

@@ -7,8 +7,8 @@ mod tests;
 use thiserror::Error;
 
 use crate::pipeline::{PAPER_PEEP, PAPER_PERIOD_US};
-use crate::simulator::episode::{Episode, channels, split, ventilators, whole_breaths};
-use crate::simulator::fit::{FIT, Fit, FitConfig};
+use crate::simulator::episode::{Episode, channels, split, ventilators};
+use crate::simulator::fit::{Fit, FitConfig};
 use crate::simulator::hybrid::HybridConfig;
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;
@@ -18,15 +18,6 @@ use data::recording::Recording;
 use progress::Progress;
 use ventilator::seeds;
 
-/// Breaths per gradient step of the state-space model: on 160 breaths of the default lung, 16 instead of 64 reduce the
-/// open-loop distance from 0.26 to 0.18 cmH2O in the same number of epochs.
-const BATCH: usize = 16;
-/// Weight decay of the hybrid: of 0.005, 0.02 and 0.05 it was best on lungs held out one by one.
-const HYBRID_DECAY: f32 = 0.005;
-/// Number of gradient steps after which that distance falls only slowly.
-const STEPS: usize = 10_000;
-/// The same for the hybrid: a fifth of the steps for the physics, the rest for the deviations of each test run.
-const HYBRID_STEPS: usize = 15_000;
 /// Minimum number of passes over a recording, however large.
 const LEAST_EPOCHS: usize = 300;
 /// Maximum number of passes over a recording, however small.
@@ -241,21 +232,10 @@ impl Recipe {
 
     /// The configuration for this number of breaths: a small recording needs more passes, because gradient steps count.
     pub fn config(&self, architecture: &Architecture, breaths: usize) -> FitConfig {
-        let mut base = match architecture {
-            Architecture::Stitched(_) => FitConfig::authors(),
-            _ => FitConfig { batch: BATCH, ..FitConfig::default() },
-        };
-        let hybrid = matches!(architecture, Architecture::Hybrid(_));
-        if hybrid {
-            base.adam.weight_decay = HYBRID_DECAY;
-        }
+        let (base, steps) = architecture.fitting();
         let batch = self.batch.unwrap_or(base.batch);
-        let steps = if hybrid { HYBRID_STEPS } else { STEPS };
-        let epochs = match architecture {
-            Architecture::Stitched(_) => base.epochs,
-            _ => (steps * batch / breaths.max(1)).clamp(LEAST_EPOCHS, MOST_EPOCHS),
-        };
-        let epochs = self.epochs.unwrap_or(epochs);
+        let of_steps = |steps: usize| (steps * batch / breaths.max(1)).clamp(LEAST_EPOCHS, MOST_EPOCHS);
+        let epochs = self.epochs.unwrap_or_else(|| steps.map_or(base.epochs, of_steps));
         FitConfig { epochs, batch, seed: seeds::training(self.seed, 0), ..base }
     }
 
@@ -270,7 +250,7 @@ impl Recipe {
         training: &[&Episode],
         progress: &Progress<'_>,
     ) -> Result<Fitted, RecipeError> {
-        let lessons = lessons(&architecture, recording, training);
+        let lessons = architecture.lessons(recording, training);
         let config = self.config(&architecture, lessons.len());
         let mut fit = Fit::new(architecture, &lessons.iter().collect::<Vec<_>>(), config, None);
         let task = progress.task(FIT, config.epochs);
@@ -286,20 +266,6 @@ impl Recipe {
         let stopped = curve.len() < config.epochs;
         Ok(Fitted { simulator: fit.simulator(&recording.provenance.plant), curve, stopped })
     }
-}
-
-/// The training episodes. The hybrid gets whole breaths, because expirations too contain information about lung and
-/// ventilator. It gets each of them twice, once without its group, so that the parameters of a group remain deviations
-/// from a model that is correct without them.
-fn lessons(architecture: &Architecture, recording: &Recording, training: &[&Episode]) -> Vec<Episode> {
-    if !matches!(architecture, Architecture::Hybrid(_)) {
-        return training.iter().map(|episode| (*episode).clone()).collect();
-    }
-    let mut lessons = whole_breaths(recording, architecture.timing());
-    lessons.retain(|breath| training.iter().any(|episode| episode.rows == breath.rows));
-    let nameless: Vec<_> = lessons.iter().map(|breath| Episode { group: None, ..breath.clone() }).collect();
-    lessons.extend(nameless);
-    lessons
 }
 
 /// The lungs of these breaths, as text.

@@ -14,8 +14,8 @@ use shared::control::ControlLaw;
 use shared::control::pid::Pid;
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 
-use super::features::Signals;
 use super::scenario::Scenario;
+use super::signals::Signals;
 
 /// The architectures of the learned part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

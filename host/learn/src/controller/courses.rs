@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::family::FamilyConfig;
+use super::config::FamilyConfig;
 use super::loss::late;
 use super::memory::LaneMemory;
 use super::rollout::ClosedLoopTape;

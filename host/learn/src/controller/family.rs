@@ -7,122 +7,18 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-use shared::breath::PAPER_PIPS;
 use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
-use shared::settings::Settings;
 
+use super::config::FamilyConfig;
 use super::courses::Courses;
 use super::network::initial_parameters;
 use super::rollout::{ClosedLoopTape, LaneController};
 use super::training::{Checkpoint, Stepwise, Trained, mean};
 use crate::simulator::model::Model;
-use engine::adam::{Adam, AdamConfig};
+use engine::adam::Adam;
 use engine::{LANES, Lane};
 
-/// Configuration of the training for a family.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FamilyConfig {
-    /// Number of gradient steps.
-    pub iterations: usize,
-    /// Inspirations per gradient step (rounded up to whole shards).
-    pub batch: usize,
-    /// PIPs of half of the courses, cmH2O.
-    pub pips: Vec<f32>,
-    /// Range of the PIPs of the other half, cmH2O.
-    pub pip_range: (f32, f32),
-    /// PEEP, cmH2O.
-    pub peep: f32,
-    /// Command before an inspiration that is not the first, percent.
-    pub rest: f32,
-    /// Inspiratory time, s.
-    pub inspiratory_time: f32,
-    /// Range of the standard deviation of the sensor noise, cmH2O.
-    pub noise: (f32, f32),
-    /// Largest amplitude of a sine late in the inspiration, cmH2O, in the reading of the pressure or in the pressure itself. A controller
-    /// that follows a sine in its reading is close to oscillating; one that amplifies a sine in the pressure has a large Ms. Training
-    /// without such a ripple leaves it with small stability margins.
-    pub ripple: f32,
-    /// Range of the frequency of a sine in the reading, Hz: around and above the crossover of the loop.
-    pub ripple_hz: (f32, f32),
-    /// Share of the breaths whose sine is in the pressure itself.
-    pub pressure_ripple_share: f32,
-    /// Range of its frequency, Hz: mostly above the crossover. A slower one a controller would learn to cancel, with a higher gain.
-    pub pressure_ripple_hz: (f32, f32),
-    /// Standard deviation of the starting pressure, cmH2O.
-    pub start_spread: f32,
-    /// Probability that a course ends after a breath.
-    pub restart_probability: f32,
-    /// Probability that the lung changes after a breath.
-    pub lung_change_probability: f32,
-    /// Factors on the errors of the first breaths of a course, of which little is remembered; later breaths have the factor 1.
-    pub early_weights: [f32; 2],
-    /// Factor on errors above the target.
-    pub overshoot_weight: f32,
-    /// Price of moving the valve after the first 40 % of the inspiration, cmH2O per percent of change per tick.
-    pub effort_price: f32,
-    /// Gradient steps between validations.
-    pub validate_every: usize,
-    /// Settings of the optimiser.
-    pub adam: AdamConfig,
-    /// Seed of initial weights, courses and noise.
-    pub seed: u64,
-}
-
-impl Default for FamilyConfig {
-    fn default() -> Self {
-        Self {
-            iterations: 12_000,
-            batch: 256,
-            pips: PAPER_PIPS.to_vec(),
-            pip_range: (8.0, 37.0),
-            peep: 5.0,
-            rest: 5.0,
-            inspiratory_time: 1.0,
-            noise: (0.05, 0.2),
-            ripple: 0.8,
-            ripple_hz: (1.5, 12.0),
-            pressure_ripple_share: 0.5,
-            pressure_ripple_hz: (3.0, 20.0),
-            start_spread: 0.05,
-            restart_probability: 0.12,
-            lung_change_probability: 0.03,
-            early_weights: [3.0, 2.0],
-            overshoot_weight: 1.0,
-            effort_price: 0.02,
-            validate_every: 100,
-            adam: AdamConfig { rate: 3e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
-            seed: 0,
-        }
-    }
-}
-
-impl FamilyConfig {
-    /// The configuration in breaths with these settings and PIPs, cmH2O; random PIPs go a little beyond them where the settings'
-    /// bounds allow it.
-    #[must_use]
-    pub fn in_breaths(self, settings: &Settings, pips: &[f32]) -> Self {
-        let ends =
-            pips.iter().fold((f32::INFINITY, 0.0_f32), |(low, high), pip| (low.min(*pip), high.max(*pip)));
-        let allowed = |pip: f32| Settings { pip, ..*settings }.validate().is_ok().then_some(pip);
-        Self {
-            pips: pips.to_vec(),
-            pip_range: (
-                allowed(ends.0 - BEYOND_CMH2O).unwrap_or(ends.0),
-                allowed(ends.1 + BEYOND_CMH2O).unwrap_or(ends.1),
-            ),
-            peep: settings.peep,
-            rest: settings.expiratory_bias,
-            inspiratory_time: settings.inspiratory_time,
-            ..self
-        }
-    }
-}
-
-/// Distance by which random PIPs go beyond those of the waveforms, cmH2O.
-const BEYOND_CMH2O: f32 = 2.0;
 /// Shards and breaths of a validation.
 const VALIDATION: (usize, u32) = (8, 6);
 /// Number of the random stream for validation; training uses the numbers of its steps.
@@ -327,13 +223,6 @@ mod tests {
             first[shared::control::features::FEATURES..].iter().flatten().map(|w| w.abs()).sum::<f32>()
         };
         assert!(of_memory(trained.controller.network()) > 0.1);
-    }
-
-    #[test]
-    fn random_pips_go_beyond_the_waveforms_but_not_beyond_the_settings_bounds() {
-        let range = |pips: &[f32]| FamilyConfig::default().in_breaths(&Settings::default(), pips).pip_range;
-        assert_eq!(range(&[20.0, 10.0, 35.0]), FamilyConfig::default().pip_range);
-        assert_eq!(range(&[6.0, 50.0]), (6.0, 50.0));
     }
 
     #[test]

@@ -7,32 +7,13 @@ use shared::control::features::{
 };
 
 use super::scenario::Scenario;
+use super::signals::Signals;
 
 /// Index of the first leaky average of the command.
 const COMMAND_AVERAGES_AT: usize = LEAKY.start + AVERAGES;
 /// Index of PIP; PEEP follows.
 const PIP_AT: usize = CLOCK.end;
 const PEEP_AT: usize = PIP_AT + 1;
-
-/// Measured error (cmH2O) and applied command (percent) of every tick; in the backward pass, their gradients.
-#[derive(Debug)]
-pub struct Signals {
-    pub error: Vec<Lane>,
-    pub command: Vec<Lane>,
-}
-
-impl Signals {
-    /// Memory for `ticks` ticks.
-    pub fn new(ticks: usize) -> Self {
-        Self { error: vec![Lane::ZERO; ticks], command: vec![Lane::ZERO; ticks] }
-    }
-
-    /// Sets all values to zero.
-    pub fn clear(&mut self) {
-        self.error.fill(Lane::ZERO);
-        self.command.fill(Lane::ZERO);
-    }
-}
 
 /// Scaled leaky averages of error and command; in the backward pass, the gradients with respect to them.
 #[derive(Clone, Copy, Debug, Default)]

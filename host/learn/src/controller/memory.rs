@@ -6,7 +6,7 @@ use engine::{LANES, Lane};
 use shared::control::features::{COMMAND_SCALE, ERROR_SCALE};
 use shared::control::memory::{BreathMemory, Lesson, RECALLED, bin_ticks};
 
-use super::features::Signals;
+use super::signals::Signals;
 
 /// The memories of a shard.
 #[derive(Clone, Debug)]

@@ -23,10 +23,11 @@ mod pid;
 pub mod rollout;
 pub mod scenario;
 pub mod shipped;
+mod signals;
 mod training;
 
 pub use architecture::{ControllerArchitecture, Trainable};
-pub use config::{TrainConfig, Weighting};
+pub use config::{FamilyConfig, TrainConfig, Weighting};
 pub use efforts::EffortConfig;
-pub use family::{FamilyConfig, FamilyModels, FamilyTraining};
+pub use family::{FamilyModels, FamilyTraining};
 pub use training::{Checkpoint, CurvePoint, PlantModels, Stepwise, Trained, Training};

@@ -9,9 +9,10 @@ use shared::control::pid::Pid;
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 
 use super::architecture::{ControllerArchitecture, LanePart, Trainable};
-use super::features::{Averages, LaneFeatures, Signals};
+use super::features::{Averages, LaneFeatures};
 use super::network::{blind_to, chip_network, initial_parameters, lane_network};
 use super::scenario::Scenario;
+use super::signals::Signals;
 use crate::layers::{Layers, LayersTape};
 
 impl Trainable for Residual {

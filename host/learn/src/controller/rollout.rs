@@ -10,11 +10,11 @@ use shared::control::COMMAND_MAX;
 use shared::control::residual::Residual;
 
 use super::architecture::{LanePart, Trainable};
-use super::features::Signals;
 use super::limit::{limit, limit_back};
 use super::loss::{self, Loss};
 use super::pid::{self, PidLanes, PidTape};
 use super::scenario::Scenario;
+use super::signals::Signals;
 use crate::simulator::model::Model;
 use crate::simulator::rollout::Rollout;
 
@@ -274,10 +274,10 @@ mod tests {
 
     #[test]
     fn the_gradient_through_the_authors_simulator_agrees_with_finite_differences() {
-        let config = StitchedConfig::for_period(30_000);
-        let wild = config.initialise(&mut ChaCha8Rng::seed_from_u64(2));
+        let stitched = Architecture::Stitched(StitchedConfig::for_period(30_000));
+        let wild = stitched.initialise(&mut ChaCha8Rng::seed_from_u64(2));
         let tame: Vec<f32> = wild.iter().map(|w| 0.5 * w).collect();
-        let model = Model::new(Architecture::Stitched(config), &tame);
+        let model = Model::new(stitched, &tame);
         check(30_000, 29, &model);
     }
 

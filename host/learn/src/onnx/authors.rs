@@ -3,13 +3,12 @@
 use shared::control::features::ERROR_SCALE;
 
 use super::controller::{Seen, correction, finish, pid};
-use super::graph::{Builder, Value};
-use super::state::State;
 use crate::controller::architecture::Trainable;
 use crate::controller::authors::AuthorsController;
 use crate::controller::authors::averages::ERRORS;
 use crate::controller::authors::convolution::{KERNEL, POSITIONS, layout};
-use ventilator::law::Law;
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
 
 /// The file of a controller of the authors' architecture.
 pub fn authors(controller: &AuthorsController) -> Vec<u8> {

@@ -10,9 +10,9 @@ use shared::control::network::{Dense, Network};
 use shared::control::pid::Pid;
 use shared::control::residual::Residual;
 
-use super::graph::{Builder, Value};
 use super::memory;
-use super::state::State;
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
 use shared::breath::period_s;
 
 /// Columns of the input `observation`, in their order.

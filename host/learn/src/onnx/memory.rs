@@ -4,8 +4,8 @@ use shared::control::memory::{
     BINS, COMMANDS_AHEAD, ERRORS_AHEAD, LEARNING, LEAST_BINS, Lesson, NEWEST, SURPRISE,
 };
 
-use super::graph::{Builder, Value};
-use super::state::State;
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
 
 /// Pieces of the state: the running bin's sums and ticks; the running breath's bins, their number, its difference to what is
 /// remembered and whether one of its values is not finite; the remembered bins, their number, and the breaths adopted.

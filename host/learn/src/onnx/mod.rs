@@ -7,17 +7,10 @@
 mod authors;
 pub mod check;
 pub mod controller;
-mod graph;
-mod hybrid;
 mod memory;
-mod proto;
-mod recurrent;
 pub mod simulator;
-mod state;
-mod stitched;
 #[cfg(test)]
 mod tests;
-mod unit;
 
 pub use authors::authors;
 pub use controller::residual;

@@ -3,25 +3,14 @@
 //! A block begins with the state after the last one and takes the commands of its ticks; it gives the pressure after each of them. At
 //! the first block of a breath, where the time is zero, the state comes from the input `start`.
 
-use super::graph::{Builder, Value};
-use super::state::State;
-use super::{hybrid, recurrent, stitched, unit};
-use crate::simulator::model::{Architecture, Simulator};
-use crate::simulator::{COMMAND_SCALE, Timing};
 use thiserror::Error;
 
-/// Columns of the input `start`, in their order: the state before the breath, and the lung of a simulator of many lungs.
-pub const START: [&str; 7] = [
-    "pressure before the breath, cmH2O",
-    "PEEP, cmH2O",
-    "pressure at the end of the last inspiration, cmH2O",
-    "command before the breath, percent",
-    "command at the end of the last inspiration, percent",
-    "resistance, cmH2O/(L/s)",
-    "compliance, mL/cmH2O",
-];
-/// Names of the inputs before the state.
-const INPUTS: [&str; 3] = ["commands", "start", "block"];
+use crate::graph::Builder;
+use crate::simulator::block::Block;
+use crate::simulator::model::Simulator;
+
+pub use crate::simulator::block::START;
+
 /// Name of the first output.
 const PRESSURES: &str = "pressures";
 
@@ -43,111 +32,6 @@ pub enum OnnxError {
     },
 }
 
-/// Inputs of a block.
-pub(super) struct Block {
-    /// Whether it is the first one of a breath.
-    pub(super) begins: Value,
-    /// Commands of its ticks, percent.
-    pub(super) commands: Value,
-    /// The columns of `start`.
-    pub(super) start: [Value; START.len()],
-}
-
-impl Block {
-    fn input(graph: &mut Builder, timing: &Timing) -> Self {
-        let commands = graph.input(INPUTS[0], timing.block_ticks, "commands of the block's ticks, percent");
-        let start = graph.input(INPUTS[1], START.len(), &START.join("; "));
-        let block = graph.input(INPUTS[2], 1, "number of the block in its breath, from 0");
-        let Ok(start) = <[Value; START.len()]>::try_from(graph.split(&start, &[1; START.len()])) else {
-            unreachable!("a split gives as many pieces as asked for")
-        };
-        let half = graph.number(0.5);
-        Self { begins: graph.less(&block, &half), commands, start }
-    }
-
-    /// The pressure before the breath.
-    pub(super) fn pressure(&self) -> &Value {
-        &self.start[0]
-    }
-
-    /// PEEP.
-    pub(super) fn peep(&self) -> &Value {
-        &self.start[1]
-    }
-
-    /// The pressure at the end of the last inspiration.
-    pub(super) fn plateau(&self) -> &Value {
-        &self.start[2]
-    }
-
-    /// The commands before the breath and at the end of the last inspiration, scaled.
-    pub(super) fn rest(&self, graph: &mut Builder) -> [Value; 2] {
-        let scale = graph.number(COMMAND_SCALE);
-        [&self.start[3], &self.start[4]].map(|percent| graph.div(percent, &scale))
-    }
-
-    /// Resistance and compliance.
-    pub(super) fn lung(&self) -> [&Value; 2] {
-        [&self.start[5], &self.start[6]]
-    }
-}
-
-/// The scaled commands that a step of a simulator sees, newest first: of `history` blocks up to the newest one that may act in it. The
-/// state has a piece `commands` for them. Before the breath they were `rest`.
-pub(super) fn commands_seen(
-    graph: &mut Builder,
-    state: &mut State,
-    block: &Block,
-    (timing, history): (&Timing, usize),
-    rest: &Value,
-) -> Value {
-    let width = history * timing.width();
-    let ones = graph.row(&vec![1.0; width]);
-    let rest = graph.mul(&ones, rest);
-    state.set_where(graph, &block.begins, "commands", &rest);
-    let share = |part: usize, tick: usize| {
-        if timing.part(tick) == part { 1.0 / (COMMAND_SCALE * timing.part_ticks(part) as f32) } else { 0.0 }
-    };
-    let weights: Vec<f32> = (0..timing.parts)
-        .flat_map(|part| (0..timing.block_ticks).map(move |tick| share(part, tick)))
-        .collect();
-    let means = graph.dense(&block.commands, &weights, &vec![0.0; timing.parts]);
-    let before = state.get("commands");
-    let kept: Vec<usize> = (0..width - timing.width()).collect();
-    let after = if kept.is_empty() {
-        means
-    } else {
-        let kept = graph.columns(&before, &kept);
-        graph.join(&[&means, &kept])
-    };
-    state.set("commands", after.clone());
-    if timing.lag() == 0 { after } else { before }
-}
-
-/// The pressure after each tick of a block, from those at its points, cmH2O; the state has a piece `pressure` for the last of them.
-pub(super) fn pressures(
-    graph: &mut Builder,
-    state: &mut State,
-    block: &Block,
-    timing: &Timing,
-    points: &[Value],
-) -> Value {
-    state.set_where(graph, &block.begins, "pressure", block.pressure());
-    let first = state.get("pressure");
-    let all: Vec<&Value> = [&first].into_iter().chain(points).collect();
-    let all = graph.join(&all);
-    let row = |tick: usize| {
-        // After the last tick, the pressure is that of the last point.
-        let weights = timing.interpolation(tick);
-        (0..=timing.points).map(move |point| weights[point])
-    };
-    let weights: Vec<f32> = (1..=timing.block_ticks).flat_map(row).collect();
-    if let Some(last) = points.last() {
-        state.set("pressure", last.clone());
-    }
-    graph.dense(&all, &weights, &vec![0.0; timing.block_ticks])
-}
-
 /// The file of a simulator. Of a simulator of several units it contains one: without a choice a physical simulator's first, and for a
 /// hybrid a ventilator of none of the recorded ones.
 ///
@@ -163,14 +47,8 @@ pub fn simulator(simulator: &Simulator, unit: Option<u32>) -> Result<Vec<u8>, On
         return Err(OnnxError::Unit { asked, known });
     }
     let mut graph = Builder::new("simulator");
-    let block = Block::input(&mut graph, &timing);
-    let parameters = &simulator.parameters;
-    let (pressures, state) = match simulator.architecture {
-        Architecture::StateSpace(config) => recurrent::state_space(&mut graph, &block, &config, parameters),
-        Architecture::Stitched(config) => stitched::stitched(&mut graph, &block, &config, parameters),
-        Architecture::Hybrid(config) => hybrid::hybrid(&mut graph, &block, &config, parameters, unit),
-        Architecture::Unit(config) => unit::unit(&mut graph, &block, &config, parameters, unit.unwrap_or(0)),
-    };
+    let block = Block::input(&mut graph, &timing, unit);
+    let (pressures, state) = simulator.architecture.graph(&mut graph, &block, &simulator.parameters);
     graph.output(PRESSURES, timing.block_ticks, "pressure after each tick of the block, cmH2O", &pressures);
     let width = state.output(&mut graph);
     let metadata = [

@@ -15,11 +15,11 @@ use shared::control::{ControlLaw, Controller, Observation};
 
 use interpreter::{Interpreter, Matrix};
 
-use super::proto::{Model, OPSET, Size};
 use super::{OnnxError, authors, check, residual, simulator};
 use crate::controller::architecture::Trainable;
 use crate::controller::authors::{AuthorsController, AuthorsSpec};
 use crate::controller::network::{chip_network, initial_parameters};
+use crate::graph::proto::{Model, OPSET, Size};
 use crate::simulator::hybrid::HybridConfig;
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;
@@ -80,7 +80,7 @@ fn check_graph(bytes: &[u8]) -> Model {
 fn ends(model: &Model) -> [Vec<(String, i64)>; 2] {
     let graph = model.graph.clone().unwrap();
     [graph.input, graph.output].map(|values| {
-        let of = |value: super::proto::ValueInfo| {
+        let of = |value: crate::graph::proto::ValueInfo| {
             let dim = value.kind.unwrap().tensor.unwrap().shape.unwrap().dim;
             let [Some(Size::Name(rows)), Some(Size::Value(columns))] =
                 [dim[0].size.clone(), dim[1].size.clone()]

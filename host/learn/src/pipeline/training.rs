@@ -10,7 +10,7 @@ use crate::controller::{
     Checkpoint, ControllerArchitecture, CurvePoint, PlantModels, Stepwise, TrainConfig, Trainable, Trained,
     Training,
 };
-use crate::simulator::model::{Architecture, Simulator};
+use crate::simulator::model::Simulator;
 use data::provenance::git_revision;
 use progress::{Progress, Stage};
 use ventilator::seeds;
@@ -144,13 +144,7 @@ fn suits(simulator: &Simulator, period_us: u32) -> Result<(), String> {
             timing.period_us
         ));
     }
-    let many_lungs = match simulator.architecture {
-        Architecture::Hybrid(_) => true,
-        Architecture::StateSpace(shape) => shape.lungs,
-        Architecture::Stitched(_) => false,
-        Architecture::Unit(shape) => shape.units > 1,
-    };
-    if many_lungs {
+    if simulator.architecture.many_lungs() {
         return Err(
             "is a simulator of many lungs, but a controller is trained on one lung: fit a recording of one lung \
                     with --architecture state-space"

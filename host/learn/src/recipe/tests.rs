@@ -1,6 +1,7 @@
 //! Choices made from a recording, and the breaths held out of the fit.
 
 use super::*;
+use crate::simulator::fit_config::{BATCH, STEPS};
 use data::provenance::Provenance;
 use data::recording::{Extra, Row};
 

@@ -10,7 +10,6 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 use super::episode::Episode;
 use super::model::{Architecture, Model, Simulator};
@@ -24,45 +23,7 @@ use progress::Stage;
 /// Fitting simulators: epochs.
 pub const FIT: Stage = Stage("fit simulators");
 
-/// Configuration of a fit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FitConfig {
-    /// Number of passes over the training episodes.
-    pub epochs: usize,
-    /// Episodes per gradient step (rounded up to whole shards).
-    pub batch: usize,
-    /// Error above which the loss grows linearly, cmH2O; below, it is a parabola, which averages noise.
-    pub huber: f32,
-    /// Settings of the optimiser.
-    pub adam: AdamConfig,
-    /// Seed of the initial parameters and of shuffling.
-    pub seed: u64,
-}
-
-impl Default for FitConfig {
-    fn default() -> Self {
-        Self {
-            epochs: 2500,
-            batch: 32,
-            huber: 0.3,
-            adam: AdamConfig { rate: 5e-3, ..AdamConfig::default() },
-            seed: 0,
-        }
-    }
-}
-
-impl FitConfig {
-    /// The authors' optimiser settings for their architecture.
-    pub fn authors() -> Self {
-        let adam = AdamConfig { rate: 1e-3, final_share: 1.0, weight_decay: 1e-4, clip: 1e9 };
-        Self { epochs: 500, batch: 64, huber: 0.01, adam, seed: 0 }
-    }
-}
-
-/// Share of the epochs after which a simulator of many lungs freezes its physics and trains only its deviations. With a
-/// larger share, held-out measured lungs scored worse (docs/RECORDINGS.md).
-const SETTLED: f32 = 0.2;
+pub use super::fit_config::FitConfig;
 
 /// Parameters that are trained together.
 #[derive(Debug)]
@@ -76,17 +37,9 @@ struct ParameterGroup {
 impl ParameterGroup {
     /// The groups of an architecture.
     fn of(architecture: &Architecture, adam: AdamConfig) -> Vec<Self> {
-        let group = |range: Range<usize>, share| Self { adam: Adam::new(adam, range.len()), range, share };
-        let all = architecture.parameters();
-        match architecture {
-            Architecture::Hybrid(shape) => {
-                let physics = shape.physics();
-                vec![group(physics.clone(), SETTLED), group(physics.end..all, 1.0)]
-            }
-            Architecture::StateSpace(_) | Architecture::Stitched(_) | Architecture::Unit(_) => {
-                vec![group(0..all, 1.0)]
-            }
-        }
+        let group =
+            |(range, share): (Range<usize>, f32)| Self { adam: Adam::new(adam, range.len()), range, share };
+        architecture.groups().into_iter().map(group).collect()
     }
 
     /// One optimiser step, if the group is still being trained.

@@ -4,7 +4,10 @@
 use engine::Lane;
 use engine::dense::{DenseLayer, DenseWeights};
 
+use super::block::Block;
 use super::{piece, piece_mut};
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
 
 /// Parameters of the states.
 #[derive(Clone, Debug)]
@@ -113,6 +116,37 @@ impl LeakyStates {
 /// The logistic function.
 pub(crate) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
+}
+
+/// [`LeakyStates::begin`] as a graph; the state has a piece `states`.
+pub(super) fn begin_graph(
+    graph: &mut Builder,
+    state: &mut State,
+    block: &Block,
+    (start, parameters): (&DenseLayer, &[f32]),
+    known: &Value,
+) {
+    let begun = graph.layer(known, start, parameters);
+    state.set_where(graph, &block.begins, "states", &begun);
+}
+
+/// [`LeakyStates::step`] as a graph: the states after a block, driven by these inputs.
+pub(super) fn step_graph(
+    graph: &mut Builder,
+    state: &mut State,
+    (drive, parameters): (&DenseLayer, &[f32]),
+    decays: &[f32],
+    inputs: &Value,
+) -> Value {
+    let keep: Vec<f32> = decays.iter().map(|decay| sigmoid(*decay)).collect();
+    let rest: Vec<f32> = keep.iter().map(|keep| 1.0 - keep).collect();
+    let (keep, rest) = (graph.row(&keep), graph.row(&rest));
+    let driven = graph.layer(inputs, drive, parameters);
+    let kept = graph.mul(&keep, &state.get("states"));
+    let driven = graph.mul(&rest, &driven);
+    let after = graph.add(&kept, &driven);
+    state.set("states", after.clone());
+    after
 }
 
 #[cfg(test)]

@@ -1,26 +1,41 @@
 //! A learned simulator as a value: architecture, parameters, origin, and the safetensors file that contains them.
 
+use std::ops::Deref;
 use std::path::Path;
 use std::sync::Arc;
 
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::hybrid::{Hybrid, HybridConfig};
-use super::shape::{ShapeError, members, widths, within};
-use super::state_space::{StateSpace, StateSpaceConfig};
-use super::stitched::{Stitched, StitchedConfig};
-use super::unit::{UnitConfig, Units};
-use super::{AnyDynamics, Timing};
+use super::design::{Design, Dynamics};
+use super::hybrid::HybridConfig;
+use super::state_space::StateSpaceConfig;
+use super::stitched::StitchedConfig;
+use super::unit::UnitConfig;
 use data::tensors::{self, TensorError};
 
-/// Longest phase of a breath that a file may have, ms.
-const PHASE_MAX_MS: usize = 3_600_000;
+/// Lists the architectures: the shape of each is a [`Design`].
+macro_rules! architectures {
+    ($($(#[$doc:meta])* $name:ident($shape:ty),)+) => {
+        /// An architecture and its shape.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(tag = "architecture", rename_all = "snake_case")]
+        pub enum Architecture {
+            $($(#[$doc])* $name($shape),)+
+        }
 
-/// An architecture and its shape.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(tag = "architecture", rename_all = "snake_case")]
-pub enum Architecture {
+        impl Deref for Architecture {
+            type Target = dyn Design;
+
+            fn deref(&self) -> &(dyn Design + 'static) {
+                match self {
+                    $(Self::$name(shape) => shape,)+
+                }
+            }
+        }
+    };
+}
+
+architectures! {
     /// Our model of one plant.
     StateSpace(StateSpaceConfig),
     /// Our model of many lungs.
@@ -29,73 +44,6 @@ pub enum Architecture {
     Stitched(StitchedConfig),
     /// Our physical model of many units.
     Unit(UnitConfig),
-}
-
-impl Architecture {
-    /// Division of time into blocks.
-    pub fn timing(&self) -> &Timing {
-        match self {
-            Self::StateSpace(config) => &config.timing,
-            Self::Hybrid(config) => &config.timing,
-            Self::Stitched(config) => &config.timing,
-            Self::Unit(config) => &config.timing,
-        }
-    }
-
-    /// Number of parameters.
-    pub fn parameters(&self) -> usize {
-        match self {
-            Self::StateSpace(config) => config.parameters(),
-            Self::Hybrid(config) => config.parameters(),
-            Self::Stitched(config) => config.parameters(),
-            Self::Unit(config) => config.parameters(),
-        }
-    }
-
-    /// Number of units that a breath can name as its ventilator; 1 for a model of one plant.
-    pub fn members(&self) -> usize {
-        match self {
-            Self::Unit(config) => config.units,
-            Self::Hybrid(config) => config.ventilators,
-            Self::StateSpace(_) | Self::Stitched(_) => 1,
-        }
-    }
-
-    /// Checks that a simulator of this shape can be built: each of its numbers is within its bounds.
-    ///
-    /// # Errors
-    /// The first number that is not.
-    pub fn check(&self) -> Result<(), ShapeError> {
-        self.timing().check()?;
-        match *self {
-            Self::StateSpace(StateSpaceConfig { states, hidden, history, .. }) => {
-                widths(states, hidden, history)
-            }
-            // A hybrid without ventilators and test runs of its own is one of an unknown ventilator.
-            Self::Hybrid(HybridConfig { states, hidden, history, ventilators, groups, .. }) => {
-                widths(states, hidden, history)?;
-                members("ventilators", ventilators, 0)?;
-                members("groups", groups, 0)
-            }
-            Self::Stitched(StitchedConfig { timing }) => timing.check_single_ticks(),
-            Self::Unit(UnitConfig { timing, units, inspiration_ms, expiration_ms }) => {
-                timing.check_single_ticks()?;
-                members("units", units, 1)?;
-                within("inspiration_ms", inspiration_ms as usize, 1, PHASE_MAX_MS)?;
-                within("expiration_ms", expiration_ms as usize, 1, PHASE_MAX_MS)
-            }
-        }
-    }
-
-    /// Draws initial parameters.
-    pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
-        match self {
-            Self::StateSpace(config) => config.initialise(rng),
-            Self::Hybrid(config) => config.initialise(rng),
-            Self::Stitched(config) => config.initialise(rng),
-            Self::Unit(config) => config.initialise(),
-        }
-    }
 }
 
 /// A learned simulator. In its file, everything except the parameters is JSON in the metadata.
@@ -119,27 +67,37 @@ pub struct Simulator {
 #[derive(Clone, Debug)]
 pub struct Model {
     architecture: Architecture,
-    pub(super) dynamics: Arc<dyn AnyDynamics>,
+    parameters: Arc<[f32]>,
 }
 
 impl Model {
     /// A model of an architecture.
     ///
     /// # Panics
-    /// If `parameters` does not have [`Architecture::parameters`] entries.
+    /// If `parameters` does not have as many entries as the architecture has parameters.
     pub fn new(architecture: Architecture, parameters: &[f32]) -> Self {
-        let dynamics: Arc<dyn AnyDynamics> = match architecture {
-            Architecture::StateSpace(config) => Arc::new(StateSpace::new(config, parameters)),
-            Architecture::Hybrid(config) => Arc::new(Hybrid::new(config, parameters)),
-            Architecture::Stitched(_) => Arc::new(Stitched::new(parameters)),
-            Architecture::Unit(config) => Arc::new(Units::new(config, parameters)),
-        };
-        Self { architecture, dynamics }
+        assert_eq!(parameters.len(), architecture.parameters(), "parameters of another shape");
+        Self { architecture, parameters: parameters.into() }
     }
 
     /// Architecture and shape.
     pub fn architecture(&self) -> &Architecture {
         &self.architecture
+    }
+
+    /// Its parameters, in the architecture's order.
+    pub(super) fn parameters(&self) -> &[f32] {
+        &self.parameters
+    }
+
+    /// The equations with these parameters, and memory for a rollout of `blocks` blocks.
+    pub(super) fn dynamics(&self, blocks: usize) -> Box<dyn Dynamics> {
+        self.architecture.dynamics(&self.parameters, blocks)
+    }
+
+    /// Whether the other is a copy of this model.
+    pub(super) fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.parameters, &other.parameters)
     }
 }
 
@@ -166,7 +124,7 @@ impl Simulator {
     ///
     /// # Errors
     /// The file cannot be read, is damaged, contains something else, or describes a simulator that cannot be built
-    /// ([`Architecture::check`]).
+    /// ([`Design::check`]).
     pub fn load(path: &Path) -> Result<Self, TensorError> {
         let (mut simulator, mut vectors): (Self, _) = tensors::load(path, KIND, &[PARAMETERS])?;
         let refused = |reason: &dyn ToString| TensorError::format(path, KIND, &reason.to_string());
@@ -186,6 +144,7 @@ impl Simulator {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::SeedableRng;
 
     fn simulator() -> Simulator {

@@ -13,8 +13,11 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::leaky::{LeakyStates, LeakyTape};
+use super::block::Block;
+use super::leaky::{self, LeakyStates, LeakyTape};
 use super::{CommandLog, Timing, piece, piece_mut};
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
 use engine::Lane;
 use engine::activation::Activation;
 use engine::dense::{DenseLayer, DenseWeights};
@@ -24,7 +27,7 @@ pub(super) const GAINS: [f32; 4] = [1.0, 1.0, 0.5, 0.3];
 
 /// Shape of the network.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct RecurrentShape {
+pub(super) struct RecurrentShape {
     /// Division of time into blocks.
     pub timing: Timing,
     /// Number of states.
@@ -52,7 +55,7 @@ impl RecurrentShape {
     }
 
     /// Layers (hidden, drive, readout, start), index of the decays, number of parameters.
-    pub(crate) fn layout(&self) -> ([DenseLayer; 4], usize, usize) {
+    pub(super) fn layout(&self) -> ([DenseLayer; 4], usize, usize) {
         let commands = self.commands();
         let (layers, decay) = DenseLayer::layout([
             (self.inputs(), self.hidden),
@@ -219,6 +222,28 @@ impl RecurrentNetwork {
         self.states.finish(&tape.states, &tape.hidden, gradient);
         self.readout.shape().gradient(&tape.d_readout, &tape.after, gradient);
     }
+}
+
+/// One step of the network as a graph; the state has a piece `states`.
+pub(super) fn step_graph(
+    graph: &mut Builder,
+    state: &mut State,
+    block: &Block,
+    (shape, parameters): (&RecurrentShape, &[f32]),
+    known: &Value,
+    (seen, constants): (&Value, Option<&Value>),
+) -> Value {
+    let ([hidden, drive, readout, start], decay, end) = shape.layout();
+    leaky::begin_graph(graph, state, block, (&start, parameters), known);
+    let before = state.get("states");
+    let inputs: Vec<&Value> = [&before, seen].into_iter().chain(constants).collect();
+    let inputs = graph.join(&inputs);
+    let z = graph.layer(&inputs, &hidden, parameters);
+    let z = graph.op("Softsign", &[&z]);
+    let drives = graph.join(&[&z, seen]);
+    let after = leaky::step_graph(graph, state, (&drive, parameters), &parameters[decay..end], &drives);
+    let readouts = graph.join(&[&after, &z]);
+    graph.layer(&readouts, &readout, parameters)
 }
 
 #[cfg(test)]

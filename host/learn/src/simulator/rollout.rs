@@ -6,16 +6,17 @@
 //! [`Rollout::replay_back`]). No state of a breath is carried into the next one, so the memory of a rollout can be
 //! reused.
 
+use super::design::Dynamics;
 use super::model::Model;
 use super::shard::Shard;
-use super::{AnyTape, BreathStart, COMMAND_SCALE, CommandLog, Timing, piece, piece_mut};
+use super::{BreathStart, COMMAND_SCALE, CommandLog, Timing, piece, piece_mut};
 use engine::Lane;
 
 /// A simulator running on one shard, with the memory for breaths of a given length.
 #[derive(Debug)]
 pub struct Rollout {
     model: Model,
-    tape: AnyTape,
+    dynamics: Box<dyn Dynamics>,
     timing: Timing,
     ticks: usize,
     log: CommandLog,
@@ -35,7 +36,7 @@ impl Rollout {
         let points = vec![Lane::ZERO; 1 + blocks * timing.points];
         Self {
             model: model.clone(),
-            tape: model.dynamics.tape(blocks),
+            dynamics: model.dynamics(blocks),
             timing,
             ticks,
             d_log: log.clone(),
@@ -48,10 +49,11 @@ impl Rollout {
 
     /// Starts a breath of a model from these commands at rest, percent, at tick 0.
     pub fn begin(&mut self, model: &Model, start: &BreathStart, rest: &Lane) {
-        if self.model.architecture() == model.architecture() {
-            self.model = model.clone();
-        } else {
+        if self.model.architecture() != model.architecture() {
             *self = Self::new(model, self.ticks);
+        } else if !self.model.is(model) {
+            self.dynamics.load(model.parameters());
+            self.model = model.clone();
         }
         self.log.reset(rest.map(|rest| rest / COMMAND_SCALE));
         self.start_breath(start);
@@ -119,11 +121,7 @@ impl Rollout {
         for block in 0..timing.blocks(rollout.ticks) {
             rollout.predict(block);
             if teacher_forcing {
-                rollout.model.dynamics.teach(
-                    &mut rollout.tape,
-                    block,
-                    &shard.pressure((block + 1) * timing.block_ticks),
-                );
+                rollout.dynamics.teach(block, &shard.pressure((block + 1) * timing.block_ticks));
             }
         }
         rollout
@@ -135,20 +133,20 @@ impl Rollout {
         for block in (0..self.timing.blocks(self.ticks)).rev() {
             self.predict_back(block);
         }
-        self.model.dynamics.finish(&mut self.tape, gradient);
+        self.dynamics.finish(gradient);
     }
 
     fn start_breath(&mut self, start: &BreathStart) {
         self.points[0] = start.pressure;
         self.tick = 0;
-        self.model.dynamics.begin(&mut self.tape, start);
+        self.dynamics.begin(start);
     }
 
     /// Runs the model's step of a block; no effect after the end of the breath.
     fn predict(&mut self, block: usize) {
         if block < self.timing.blocks(self.ticks) {
             let points = piece_mut(&mut self.points[1..], block, self.timing.points);
-            self.model.dynamics.step(&mut self.tape, block, &self.log, points);
+            self.dynamics.step(block, &self.log, points);
         }
     }
 
@@ -156,7 +154,7 @@ impl Rollout {
     fn predict_back(&mut self, block: usize) {
         if block < self.timing.blocks(self.ticks) {
             let d_points = piece(&self.d_points[1..], block, self.timing.points);
-            self.model.dynamics.step_back(&mut self.tape, block, d_points, &mut self.d_log);
+            self.dynamics.step_back(block, d_points, &mut self.d_log);
         }
     }
 

@@ -7,8 +7,13 @@
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape};
-use super::{BreathStart, CommandLog, Dynamics, PRESSURE_SCALE, Timing, USUAL_LUNG};
+use super::block::{Block, commands_seen, known, pressures};
+use super::design::{Design, Dynamics};
+use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape, step_graph};
+use super::shape::{ShapeError, widths};
+use super::{BreathStart, CommandLog, PRESSURE_SCALE, Timing, USUAL_LUNG};
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
 use data::identity::LungParameters;
 use engine::Lane;
 
@@ -49,7 +54,7 @@ impl StateSpaceConfig {
         }
     }
 
-    pub(crate) fn shape(&self) -> RecurrentShape {
+    fn shape(&self) -> RecurrentShape {
         let Self { timing, states, hidden, history, lungs } = *self;
         RecurrentShape {
             timing,
@@ -61,67 +66,102 @@ impl StateSpaceConfig {
             outputs: timing.points,
         }
     }
+}
 
-    /// Number of parameters.
-    pub fn parameters(&self) -> usize {
+impl Design for StateSpaceConfig {
+    fn timing(&self) -> &Timing {
+        &self.timing
+    }
+
+    fn parameters(&self) -> usize {
         self.shape().parameters()
     }
 
-    /// Draws initial parameters.
-    pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    fn check(&self) -> Result<(), ShapeError> {
+        self.timing.check()?;
+        widths(self.states, self.hidden, self.history)
+    }
+
+    fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         self.shape().initialise(LONGEST_S, rng)
     }
-}
 
-/// The model with its parameters, ready to run.
-#[derive(Clone, Debug)]
-pub(super) struct StateSpace {
-    config: StateSpaceConfig,
-    network: RecurrentNetwork,
-}
-
-impl StateSpace {
-    /// A model from its parameters.
-    ///
-    /// # Panics
-    /// If `parameters` does not have [`StateSpaceConfig::parameters`] entries.
-    pub fn new(config: StateSpaceConfig, parameters: &[f32]) -> Self {
-        Self { config, network: RecurrentNetwork::new(config.shape(), parameters) }
+    fn many_lungs(&self) -> bool {
+        self.lungs
     }
+
+    fn dynamics(&self, parameters: &[f32], blocks: usize) -> Box<dyn Dynamics> {
+        let network = RecurrentNetwork::new(self.shape(), parameters);
+        Box::new(StateSpace { shape: self.shape(), tape: network.tape(blocks), network })
+    }
+
+    fn graph(&self, graph: &mut Builder, block: &Block, parameters: &[f32]) -> (Value, State) {
+        let (shape, timing) = (self.shape(), &self.timing);
+        let pieces = [("commands", self.history * timing.width()), ("states", self.states), ("pressure", 1)];
+        let mut state = State::input(graph, &pieces);
+        let [rest, _] = block.rest(graph);
+        let seen = commands_seen(graph, &mut state, block, (timing, self.history), &rest);
+        let known = known(graph, block, shape.known);
+        let constants = (shape.constants > 0).then(|| lung_graph(graph, block));
+        let outputs =
+            step_graph(graph, &mut state, block, (&shape, parameters), &known, (&seen, constants.as_ref()));
+        let (mean, scale) = PRESSURE_SCALE;
+        let points = graph.scale(&outputs, scale);
+        let points = graph.shift(&points, mean);
+        let points = graph.split(&points, &vec![1; timing.points]);
+        (pressures(graph, &mut state, block, timing, &points), state)
+    }
+}
+
+/// The inputs that describe the lung, as a graph.
+fn lung_graph(graph: &mut Builder, block: &Block) -> Value {
+    let usual = [USUAL_LUNG.resistance, USUAL_LUNG.compliance];
+    let [resistance, compliance] = [0, 1].map(|n| {
+        let usual = graph.number(usual[n]);
+        let ratio = graph.div(block.lung()[n], &usual);
+        graph.op("Log", &[&ratio])
+    });
+    graph.join(&[&resistance, &compliance])
+}
+
+/// The model with its parameters and the memory of a rollout.
+#[derive(Debug)]
+struct StateSpace {
+    shape: RecurrentShape,
+    network: RecurrentNetwork,
+    tape: RecurrentTape,
 }
 
 impl Dynamics for StateSpace {
-    type Tape = RecurrentTape;
-
-    fn tape(&self, blocks: usize) -> RecurrentTape {
-        self.network.tape(blocks)
+    fn load(&mut self, parameters: &[f32]) {
+        self.network = RecurrentNetwork::new(self.shape, parameters);
     }
 
-    fn begin(&self, tape: &mut RecurrentTape, start: &BreathStart) {
+    fn begin(&mut self, start: &BreathStart) {
         let LungParameters { resistance, compliance } = USUAL_LUNG;
         let lung: [Lane; LUNG_INPUTS] = [
             start.resistance.map(|r| (r / resistance).ln()),
             start.compliance.map(|c| (c / compliance).ln()),
         ];
-        let RecurrentShape { known, constants, .. } = self.config.shape();
-        self.network.begin(tape, &start.known()[..known], &lung[..constants]);
+        let RecurrentShape { known, constants, .. } = self.shape;
+        self.network.begin(&mut self.tape, &start.known()[..known], &lung[..constants]);
     }
 
-    fn step(&self, tape: &mut RecurrentTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        self.network.step(tape, block, log, points);
+    fn step(&mut self, block: usize, log: &CommandLog, points: &mut [Lane]) {
+        self.network.step(&mut self.tape, block, log, points);
         let (mean, scale) = PRESSURE_SCALE;
         for point in points {
             *point = point.map(|y| mean + scale * y);
         }
     }
 
-    fn step_back(&self, tape: &mut RecurrentTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
+    fn step_back(&mut self, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
         let d_output = |n: usize| d_points[n].map(|d| PRESSURE_SCALE.1 * d);
-        self.network.step_back(tape, block, d_output, d_log);
+        self.network.step_back(&mut self.tape, block, d_output, d_log);
     }
 
-    fn finish(&self, tape: &mut RecurrentTape, gradient: &mut [f32]) {
-        self.network.finish(tape, gradient);
+    fn finish(&self, gradient: &mut [f32]) {
+        self.network.finish(&self.tape, gradient);
     }
 }
 
@@ -151,14 +191,14 @@ mod tests {
     #[test]
     fn commands_of_the_running_block_cannot_be_felt_in_it() {
         let config = StateSpaceConfig::for_period(1000, 1);
-        let model = StateSpace::new(config, &config.initialise(&mut ChaCha8Rng::seed_from_u64(4)));
+        let parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(4));
         let last_point = |command: f32, block: usize| {
-            let (mut tape, mut points) = (model.tape(6), vec![Lane::ZERO; 2]);
+            let (mut model, mut points) = (config.dynamics(&parameters, 6), vec![Lane::ZERO; 2]);
             let mut log = CommandLog::new(6, vec![Lane::ZERO; 2]);
             log.block_mut(block).fill(Lane::splat(command));
-            model.begin(&mut tape, &BreathStart::default());
+            model.begin(&BreathStart::default());
             for block in 0..6 {
-                model.step(&mut tape, block, &log, &mut points);
+                model.step(block, &log, &mut points);
             }
             points[1][LANES - 1]
         };

@@ -56,13 +56,12 @@ fn weight(block: usize, point: usize, l: usize) -> f32 {
 }
 
 fn loss(model: &Model, log: &CommandLog) -> f64 {
-    let dynamics = &model.dynamics;
-    let (mut tape, mut points) =
-        (dynamics.tape(BLOCKS), vec![Lane::ZERO; model.architecture().timing().points]);
-    dynamics.begin(&mut tape, &start());
+    let (mut dynamics, mut points) =
+        (model.dynamics(BLOCKS), vec![Lane::ZERO; model.architecture().timing().points]);
+    dynamics.begin(&start());
     let mut total = 0.0;
     for block in 0..BLOCKS {
-        dynamics.step(&mut tape, block, log, &mut points);
+        dynamics.step(block, log, &mut points);
         for (n, point) in points.iter().enumerate() {
             total += (0..LANES).map(|l| f64::from(weight(block, n, l) * point[l])).sum::<f64>();
         }
@@ -96,19 +95,18 @@ pub(super) fn check_gradients_in_steps(
     let width = architecture.timing().width();
     let model = Model::new(architecture, parameters);
     let mut log = commands(width);
-    let (dynamics, mut pressures) = (&model.dynamics, vec![Lane::ZERO; points]);
-    let mut tape = dynamics.tape(BLOCKS);
-    dynamics.begin(&mut tape, &start());
+    let (mut dynamics, mut pressures) = (model.dynamics(BLOCKS), vec![Lane::ZERO; points]);
+    dynamics.begin(&start());
     for block in 0..BLOCKS {
-        dynamics.step(&mut tape, block, &log, &mut pressures);
+        dynamics.step(block, &log, &mut pressures);
     }
     let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; width]);
     for block in (0..BLOCKS).rev() {
         let d: Vec<Lane> = (0..points).map(|n| Lane::from_fn(|l| weight(block, n, l))).collect();
-        dynamics.step_back(&mut tape, block, &d, &mut d_log);
+        dynamics.step_back(block, &d, &mut d_log);
     }
     let mut gradient = vec![0.0; parameters.len()];
-    dynamics.finish(&mut tape, &mut gradient);
+    dynamics.finish(&mut gradient);
 
     let agree = |numeric: f64, analytic: f32, what: &str| {
         let tolerance = 0.02 * f64::from(analytic.abs()) + 0.02;

@@ -21,8 +21,8 @@ use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 use shared::control::{ControlLaw, ControlOutput, Observation};
 
 use super::architecture::{ControllerArchitecture, LanePart, Trainable};
-use super::features::Signals;
 use super::scenario::Scenario;
+use super::signals::Signals;
 use averages::{ERRORS, averages};
 use convolution::{Convolution, ConvolutionTape, PARAMETERS, initial_parameters, output};
 use ventilator::law::Law;

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use super::super::proto::{Graph, Model, Node};
+use crate::graph::proto::{Graph, Model, Node};
 
 /// A matrix, row by row.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,7 +46,7 @@ pub struct Interpreter {
 impl Interpreter {
     pub fn new(model: Model) -> Self {
         let mut graph = model.graph.unwrap();
-        let constant = |constant: super::super::proto::Tensor| {
+        let constant = |constant: crate::graph::proto::Tensor| {
             let integers = constant.int64_data.iter().map(|value| *value as f32);
             let values: Vec<f32> = constant.float_data.iter().copied().chain(integers).collect();
             (constant.name, Matrix { columns: *constant.dims.last().unwrap() as usize, values })
@@ -70,7 +70,7 @@ impl Interpreter {
         let input = self.graph.input.iter().find(|input| input.name == name).unwrap();
         let dim = input.kind.clone().unwrap().tensor.unwrap().shape.unwrap().dim;
         match dim[1].size {
-            Some(super::super::proto::Size::Value(columns)) => columns as usize,
+            Some(crate::graph::proto::Size::Value(columns)) => columns as usize,
             _ => panic!("{name} has no fixed number of columns"),
         }
     }

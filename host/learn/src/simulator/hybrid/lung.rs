@@ -8,6 +8,7 @@
 //! ```
 
 use super::ventilator::{OPENINGS, Openings};
+use crate::simulator::branch::conductance;
 use crate::simulator::{BreathStart, Timing};
 use engine::{LANES, Lane};
 
@@ -16,14 +17,14 @@ pub(super) const PHYSICS: usize = 6;
 /// Number of deviations of a test run, as logarithms: the factors on R and C.
 pub(super) const DEVIATIONS: usize = 2;
 /// Nominal R to which R1 and R2 refer, cmH2O/(L/s).
-pub(crate) const NOMINAL: f32 = 20.0;
+pub(super) const NOMINAL: f32 = 20.0;
 /// Pressure drop below which the resistor's root is smoothed, cmH2O.
-pub(crate) const ROUNDING: f32 = 0.05;
-pub(crate) const ML_PER_L: f32 = 1000.0;
+pub(super) const ROUNDING: f32 = 0.05;
+pub(super) const ML_PER_L: f32 = 1000.0;
 
 /// Learned parameters of lungs and circuit.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Physics {
+pub(super) struct Physics {
     /// Duration of one step, s.
     pub step_s: f32,
     /// Logarithms of R1 (cmH2O/(L/s)) and R2 (cmH2O/(L/s)^2) at the nominal R of 20. Both are proportional to the
@@ -163,7 +164,7 @@ impl LungTape {
         let mut flow = Flow { pressure: self.pressure, alveolar: self.alveolar, ..Flow::default() };
         for l in 0..LANES {
             let (p, a, k) = (self.pressure[l], self.alveolar[l], lungs.keep);
-            let g = 2.0 / (lungs.linear[l] + root(lungs, l, p - a).0);
+            let (g, _, _) = resistor(lungs, l, p - a);
             let (g_in, g_out) = (inlet[l] * orifice(lungs.supply - p).0, outlet[l] * orifice(p).0);
             let next = (k * p + g_in * lungs.supply + g * a) / (k + g_in + g_out + g);
             flow.conductance[l] = g;
@@ -209,7 +210,7 @@ impl LungTape {
         let mut d_p = d * k - d_in * inlet * slope_in + d_out * outlet * slope_out;
         d_a += d * g;
         // g = 2 / (R1 + root)
-        let (root, size) = root(lungs, l, p - a);
+        let (_, root, size) = resistor(lungs, l, p - a);
         let d_sum = -0.5 * g * g * d_g;
         self.d_lungs.linear[l] += d_sum * (1.0 + lungs.linear[l] / root) * lungs.linear[l];
         self.d_lungs.square[l] += d_sum * 2.0 * size / root * lungs.square[l];
@@ -221,10 +222,11 @@ impl LungTape {
     }
 }
 
-/// `sqrt(R1^2 + 4 R2 |drop|)`, and `|drop|`, smoothed around zero.
-fn root(lungs: &Lungs, l: usize, drop: f32) -> (f32, f32) {
+/// Conductance, its root and `|drop|`, which is smoothed around zero.
+fn resistor(lungs: &Lungs, l: usize, drop: f32) -> (f32, f32, f32) {
     let size = (drop * drop + ROUNDING * ROUNDING).sqrt();
-    ((lungs.linear[l] * lungs.linear[l] + 4.0 * lungs.square[l] * size).sqrt(), size)
+    let (g, root) = conductance(lungs.linear[l], lungs.square[l], size);
+    (g, root, size)
 }
 
 /// Conductance of a unit opening under a pressure drop, and its slope: flow is proportional to the root of the drop,

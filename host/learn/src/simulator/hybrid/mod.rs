@@ -15,9 +15,10 @@
 //! p    = p' + m tanh(sum of e_k y_k / m)     modes y of the commands, mixed by the test run's e
 //! ```
 
-pub(crate) mod lung;
+mod graph;
+mod lung;
 mod own;
-pub(crate) mod ventilator;
+mod ventilator;
 
 use std::ops::Range;
 
@@ -27,8 +28,16 @@ use serde::{Deserialize, Serialize};
 use self::lung::{LungTape, PHYSICS, Physics};
 use self::own::Own;
 use self::ventilator::{OPENINGS, VentilatorModel, VentilatorTape};
+use super::block::Block;
+use super::design::{Design, Dynamics};
+use super::episode::{Episode, whole_breaths};
+use super::fit_config::{BATCH, FitConfig};
 use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape};
-use super::{BreathStart, CommandLog, Dynamics, Members, Timing, piece, piece_mut};
+use super::shape::{ShapeError, members, widths};
+use super::{BreathStart, CommandLog, Members, Timing, piece, piece_mut};
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
+use data::recording::Recording;
 use engine::{LANES, Lane};
 
 /// Number of deviations of a group, as logarithms: R, C, opening towards the supply, opening towards the room. They
@@ -41,6 +50,13 @@ const MODES: usize = 8;
 const LONGEST_REST_S: f32 = 1.0;
 /// Largest correction of a test run to the physics, cmH2O: it cannot replace them.
 const MOST_REST: f32 = 10.0;
+/// Weight decay: of 0.005, 0.02 and 0.05 it was best on lungs held out one by one.
+const DECAY: f32 = 0.005;
+/// Number of gradient steps after which a fit gains little: a fifth for the physics, the rest for the deviations of each test run.
+const STEPS: usize = 15_000;
+/// Share of the epochs after which a fit freezes the physics and trains only the deviations. With a larger share, held-out
+/// measured lungs scored worse (docs/RECORDINGS.md).
+const SETTLED: f32 = 0.2;
 
 /// Shape of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,7 +79,7 @@ pub struct HybridConfig {
 }
 
 /// Positions of the parts in the parameter vector.
-pub(crate) struct HybridLayout {
+pub(super) struct HybridLayout {
     pub ventilator: Range<usize>,
     pub physics: Range<usize>,
     deviations: Range<usize>,
@@ -97,7 +113,7 @@ impl HybridConfig {
         }
     }
 
-    pub(crate) fn layout(&self) -> HybridLayout {
+    pub(super) fn layout(&self) -> HybridLayout {
         let mut end = 0;
         let mut next = |length: usize| {
             end += length;
@@ -112,18 +128,69 @@ impl HybridConfig {
         }
     }
 
-    /// Number of parameters.
-    pub fn parameters(&self) -> usize {
+    /// Parameters of ventilator and lung, including the deviations of ventilators and test runs: all except the modes.
+    pub(super) fn physics(&self) -> Range<usize> {
+        0..self.layout().deviations.end
+    }
+}
+
+impl Design for HybridConfig {
+    fn timing(&self) -> &Timing {
+        &self.timing
+    }
+
+    fn parameters(&self) -> usize {
         self.layout().mixing.end
     }
 
-    /// Parameters of ventilator and lung, including the deviations of ventilators and test runs: all except the modes.
-    pub fn physics(&self) -> Range<usize> {
-        0..self.layout().deviations.end
+    fn members(&self) -> usize {
+        self.ventilators
     }
 
-    /// Draws initial parameters: a ventilator, a plain lung, and test runs without deviations.
-    pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    fn many_lungs(&self) -> bool {
+        true
+    }
+
+    fn check(&self) -> Result<(), ShapeError> {
+        self.timing.check()?;
+        widths(self.states, self.hidden, self.history)?;
+        // Without ventilators and test runs of its own it is one of an unknown ventilator.
+        members("ventilators", self.ventilators, 0)?;
+        members("groups", self.groups, 0)
+    }
+
+    fn fitting(&self) -> (FitConfig, Option<usize>) {
+        let mut config = FitConfig { batch: BATCH, ..FitConfig::default() };
+        config.adam.weight_decay = DECAY;
+        (config, Some(STEPS))
+    }
+
+    fn groups(&self) -> Vec<(Range<usize>, f32)> {
+        let physics = self.physics();
+        vec![(physics.clone(), SETTLED), (physics.end..self.parameters(), 1.0)]
+    }
+
+    /// Whole breaths, because expirations too contain information about lung and ventilator. Each is there twice, once
+    /// without its group, so that the parameters of a group remain deviations from a model that is correct without them.
+    fn lessons(&self, recording: &Recording, training: &[&Episode]) -> Vec<Episode> {
+        let mut lessons = whole_breaths(recording, &self.timing);
+        lessons.retain(|breath| training.iter().any(|episode| episode.rows == breath.rows));
+        let nameless: Vec<_> =
+            lessons.iter().map(|breath| Episode { group: None, ..breath.clone() }).collect();
+        lessons.extend(nameless);
+        lessons
+    }
+
+    fn dynamics(&self, parameters: &[f32], blocks: usize) -> Box<dyn Dynamics> {
+        Box::new(Hybrid::new(*self, parameters, blocks))
+    }
+
+    fn graph(&self, graph: &mut Builder, block: &Block, parameters: &[f32]) -> (Value, State) {
+        graph::hybrid(graph, block, self, parameters)
+    }
+
+    /// A ventilator, a plain lung, and test runs without deviations.
+    fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let layout = self.layout();
         let mut parameters = vec![0.0; layout.mixing.end];
         parameters[layout.ventilator].copy_from_slice(&self.initialise_ventilator(rng));
@@ -133,9 +200,16 @@ impl HybridConfig {
     }
 }
 
-/// The model with its parameters, ready to run.
-#[derive(Clone, Debug)]
-pub(super) struct Hybrid {
+/// The model with its parameters and the memory of a rollout.
+#[derive(Debug)]
+struct Hybrid {
+    model: HybridModel,
+    tape: HybridTape,
+}
+
+/// The model with its parameters.
+#[derive(Debug)]
+struct HybridModel {
     config: HybridConfig,
     ventilator: VentilatorModel,
     physics: Physics,
@@ -145,8 +219,8 @@ pub(super) struct Hybrid {
 }
 
 /// Forward values and backward gradients of a rollout, block by block.
-#[derive(Clone, Debug)]
-pub(super) struct HybridTape {
+#[derive(Debug)]
+struct HybridTape {
     /// Group of each lane.
     group: Members,
     ventilator: VentilatorTape,
@@ -161,14 +235,9 @@ pub(super) struct HybridTape {
     slopes: Vec<Lane>,
 }
 
-impl Hybrid {
-    /// A model from its parameters.
-    ///
-    /// # Panics
-    /// If `parameters` does not have [`HybridConfig::parameters`] entries.
-    pub fn new(config: HybridConfig, parameters: &[f32]) -> Self {
+impl HybridModel {
+    fn new(config: HybridConfig, parameters: &[f32]) -> Self {
         let layout = config.layout();
-        assert_eq!(parameters.len(), layout.mixing.end, "parameters of another shape");
         Self {
             config,
             ventilator: VentilatorModel::new(config, &parameters[layout.ventilator]),
@@ -180,38 +249,46 @@ impl Hybrid {
     }
 }
 
-impl Dynamics for Hybrid {
-    type Tape = HybridTape;
-
-    fn tape(&self, blocks: usize) -> HybridTape {
-        let steps = blocks * self.config.timing.points;
-        HybridTape {
+impl Hybrid {
+    fn new(config: HybridConfig, parameters: &[f32], blocks: usize) -> Self {
+        let model = HybridModel::new(config, parameters);
+        let steps = blocks * config.timing.points;
+        let tape = HybridTape {
             group: [None; LANES],
-            ventilator: self.ventilator.tape(blocks),
+            ventilator: model.ventilator.tape(blocks),
             lung: Physics::tape(steps),
-            network: self.network.tape(blocks),
+            network: model.network.tape(blocks),
             mixing: [Lane::ZERO; MODES],
             d_mixing: [Lane::ZERO; MODES],
             modes: vec![Lane::ZERO; steps * MODES],
             slopes: vec![Lane::ZERO; steps],
-        }
+        };
+        Self { model, tape }
+    }
+}
+
+impl Dynamics for Hybrid {
+    fn load(&mut self, parameters: &[f32]) {
+        self.model = HybridModel::new(self.model.config, parameters);
     }
 
-    fn begin(&self, tape: &mut HybridTape, start: &BreathStart) {
+    fn begin(&mut self, start: &BreathStart) {
+        let Self { model, tape } = self;
         tape.group = start.group;
         let [resistance, compliance, inlet, outlet] =
-            std::array::from_fn(|n| self.deviations.lane(&start.group, n));
-        self.ventilator.begin(&mut tape.ventilator, start, &[inlet, outlet]);
-        self.physics.begin(&mut tape.lung, start, &[resistance, compliance]);
-        self.network.begin(&mut tape.network, &start.known(), &[]);
-        tape.mixing = std::array::from_fn(|n| self.mixing.lane(&start.group, n));
+            std::array::from_fn(|n| model.deviations.lane(&start.group, n));
+        model.ventilator.begin(&mut tape.ventilator, start, &[inlet, outlet]);
+        model.physics.begin(&mut tape.lung, start, &[resistance, compliance]);
+        model.network.begin(&mut tape.network, &start.known(), &[]);
+        tape.mixing = std::array::from_fn(|n| model.mixing.lane(&start.group, n));
         tape.d_mixing.fill(Lane::ZERO);
     }
 
-    fn step(&self, tape: &mut HybridTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        self.ventilator.step(&mut tape.ventilator, block, log);
-        let modes = piece_mut(&mut tape.modes, block, self.config.modes());
-        self.network.step(&mut tape.network, block, log, modes);
+    fn step(&mut self, block: usize, log: &CommandLog, points: &mut [Lane]) {
+        let Self { model, tape } = self;
+        model.ventilator.step(&mut tape.ventilator, block, log);
+        let modes = piece_mut(&mut tape.modes, block, model.config.modes());
+        model.network.step(&mut tape.network, block, log, modes);
         let first = block * points.len();
         for (n, (point, modes)) in points.iter_mut().zip(modes.chunks_exact(MODES)).enumerate() {
             *point = tape.lung.step(first + n, &tape.ventilator.openings[block]);
@@ -225,36 +302,38 @@ impl Dynamics for Hybrid {
         }
     }
 
-    fn step_back(&self, tape: &mut HybridTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
+    fn step_back(&mut self, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
+        let Self { model, tape } = self;
         let first = block * d_points.len();
         let mut d_openings = [Lane::ZERO; OPENINGS];
         for (n, d_point) in d_points.iter().enumerate().rev() {
             tape.lung.step_back(first + n, &tape.ventilator.openings[block], d_point, &mut d_openings);
         }
-        self.ventilator.step_back(&mut tape.ventilator, block, &d_openings, d_log);
+        model.ventilator.step_back(&mut tape.ventilator, block, &d_openings, d_log);
 
         let d_rest = |n: usize| d_points[n].zip(&tape.slopes[first + n], |d, slope| d * slope);
-        let modes = piece(&tape.modes, block, self.config.modes());
+        let modes = piece(&tape.modes, block, model.config.modes());
         for (n, modes) in modes.chunks_exact(MODES).enumerate() {
             for (d_e, y) in tape.d_mixing.iter_mut().zip(modes) {
                 d_e.add_scaled(1.0, &d_rest(n).zip(y, |d, y| d * y));
             }
         }
         let d_mode = |n: usize| d_rest(n / MODES).zip(&tape.mixing[n % MODES], |d, e| d * e);
-        self.network.step_back(&mut tape.network, block, d_mode, d_log);
+        model.network.step_back(&mut tape.network, block, d_mode, d_log);
     }
 
-    fn finish(&self, tape: &mut HybridTape, gradient: &mut [f32]) {
-        let layout = self.config.layout();
-        self.ventilator.finish(&tape.ventilator, &mut gradient[layout.ventilator]);
+    fn finish(&self, gradient: &mut [f32]) {
+        let Self { model, tape } = self;
+        let layout = model.config.layout();
+        model.ventilator.finish(&tape.ventilator, &mut gradient[layout.ventilator]);
         let [resistance, compliance] = Physics::finish(&tape.lung, &mut gradient[layout.physics]);
         let [inlet, outlet] = tape.ventilator.d_stretch;
         for (n, d) in [resistance, compliance, inlet, outlet].iter().enumerate() {
-            self.deviations.add_gradient(&tape.group, n, d, &mut gradient[layout.deviations.clone()]);
+            model.deviations.add_gradient(&tape.group, n, d, &mut gradient[layout.deviations.clone()]);
         }
-        self.network.finish(&tape.network, &mut gradient[layout.network]);
+        model.network.finish(&tape.network, &mut gradient[layout.network]);
         for (n, d) in tape.d_mixing.iter().enumerate() {
-            self.mixing.add_gradient(&tape.group, n, d, &mut gradient[layout.mixing.clone()]);
+            model.mixing.add_gradient(&tape.group, n, d, &mut gradient[layout.mixing.clone()]);
         }
     }
 }
@@ -321,31 +400,33 @@ mod tests {
     /// Pressure and volume (mL) in each lane after a long inflation with a constant command.
     fn blown(resistance: Lane, compliance: Lane, blocks: usize) -> (Lane, Lane) {
         let config = config(10_000);
-        let model = Hybrid::new(config, &config.initialise(&mut ChaCha8Rng::seed_from_u64(4)));
-        let (mut tape, mut points) = (model.tape(blocks), vec![Lane::ZERO; 1]);
+        let parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(4));
+        let (mut model, mut points) = (Hybrid::new(config, &parameters, blocks), vec![Lane::ZERO; 1]);
         let log = CommandLog::new(blocks, vec![Lane::splat(1.0); 1]);
         let pressure = Lane::splat(5.0);
-        model.begin(
-            &mut tape,
-            &BreathStart { pressure, plateau: pressure, resistance, compliance, ..BreathStart::default() },
-        );
+        model.begin(&BreathStart {
+            pressure,
+            plateau: pressure,
+            resistance,
+            compliance,
+            ..BreathStart::default()
+        });
         for block in 0..blocks {
-            model.step(&mut tape, block, &log, &mut points);
+            model.step(block, &log, &mut points);
         }
-        (points[0], tape.lung.alveolar.zip(&compliance, |a, c| (a - 5.0) * c))
+        (points[0], model.tape.lung.alveolar.zip(&compliance, |a, c| (a - 5.0) * c))
     }
 
     /// Pressures of a rollout with these parameters.
     fn pressures(config: HybridConfig, parameters: &[f32], start: &BreathStart) -> Vec<Lane> {
         const BLOCKS: usize = 12;
-        let model = Hybrid::new(config, parameters);
-        let mut tape = model.tape(BLOCKS);
+        let mut model = config.dynamics(parameters, BLOCKS);
         let log = CommandLog::new(BLOCKS, vec![Lane::splat(1.0); config.timing.width()]);
-        model.begin(&mut tape, start);
+        model.begin(start);
         let mut points = vec![Lane::ZERO; config.timing.points];
         (0..BLOCKS)
             .flat_map(|block| {
-                model.step(&mut tape, block, &log, &mut points);
+                model.step(block, &log, &mut points);
                 points.clone()
             })
             .collect()

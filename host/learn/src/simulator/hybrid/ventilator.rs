@@ -21,13 +21,13 @@ use engine::dense::{DenseLayer, DenseWeights};
 use engine::{LANES, Lane};
 
 /// Number of openings: towards the supply and towards the room.
-pub(crate) const OPENINGS: usize = 2;
+pub(super) const OPENINGS: usize = 2;
 /// Openings of a shard, L/s per root of cmH2O.
 pub(super) type Openings = [Lane; OPENINGS];
 /// Bound of an opening, L/s per root of cmH2O.
-pub(crate) const MOST_OPENING: f32 = 0.6;
+pub(super) const MOST_OPENING: f32 = 0.6;
 /// Opening for a zero network output, as the sigmoid's argument: a fifth of the bound.
-pub(crate) const USUAL_OPENING: f32 = -1.4;
+pub(super) const USUAL_OPENING: f32 = -1.4;
 /// Initial time constant of the slowest filter, s.
 const LONGEST_FILTER_S: f32 = 0.2;
 
@@ -43,7 +43,7 @@ impl HybridConfig {
 
     /// Layers (filters, curves, source, start), index of the decays, and index of the ventilators' own parameters
     /// (last).
-    pub(crate) fn ventilator_layout(&self) -> ([DenseLayer; 4], usize, usize) {
+    pub(super) fn ventilator_layout(&self) -> ([DenseLayer; 4], usize, usize) {
         let (layers, decay) = DenseLayer::layout([
             (self.commands(), self.states),
             (self.states, self.hidden),

@@ -6,26 +6,26 @@
 //! ```
 
 use super::LUNG;
-use crate::simulator::BreathStart;
+use crate::simulator::{BreathStart, branch};
 use engine::{LANES, Lane};
 
-pub(crate) const RESISTANCE: usize = 0;
-pub(crate) const TURBULENCE: usize = 1;
-pub(crate) const COMPLIANCE: usize = 2;
-pub(crate) const LEAK: usize = 3;
-pub(crate) const CIRCUIT: usize = 4;
-pub(crate) const CLOSING: usize = 5;
-pub(crate) const ORIFICE: usize = 6;
-pub(crate) const SENSOR: usize = 7;
-pub(crate) const OUTWARD: usize = 8;
-pub(crate) const ML_PER_L: f32 = 1e3;
+pub(super) const RESISTANCE: usize = 0;
+pub(super) const TURBULENCE: usize = 1;
+pub(super) const COMPLIANCE: usize = 2;
+pub(super) const LEAK: usize = 3;
+pub(super) const CIRCUIT: usize = 4;
+pub(super) const CLOSING: usize = 5;
+pub(super) const ORIFICE: usize = 6;
+pub(super) const SENSOR: usize = 7;
+pub(super) const OUTWARD: usize = 8;
+pub(super) const ML_PER_L: f32 = 1e3;
 const MS_PER_S: f32 = 1e3;
 /// Linear and square part of a leak of one L/s at 30 cmH2O.
-pub(crate) const LEAK_PARTS: (f32, f32) = (0.6, 29.4);
+pub(super) const LEAK_PARTS: (f32, f32) = (0.6, 29.4);
 /// Linear part of the expiratory valve, cmH2O/(L/s).
-pub(crate) const EXPIRATORY_LINEAR: f32 = 0.5;
+pub(super) const EXPIRATORY_LINEAR: f32 = 0.5;
 /// Smallest drive of the supply, as a share of its pressure.
-pub(crate) const LEAST_DRIVE: f32 = 0.01;
+pub(super) const LEAST_DRIVE: f32 = 0.01;
 
 /// The lungs of a shard.
 #[derive(Clone, Copy, Debug, Default)]
@@ -78,7 +78,7 @@ fn unfilled_and_left([inspiration, expiration]: [f32; 2], [r, c, out]: [f32; 3])
 
 /// Share of the last plateau above PEEP that is still in the lung, for inspiratory and expiratory time, s, and a lung's R, C and
 /// resistance of the expiratory path.
-pub(crate) fn left_in_lung(times: [f32; 2], lung: [f32; 3]) -> f32 {
+pub(super) fn left_in_lung(times: [f32; 2], lung: [f32; 3]) -> f32 {
     let (_, [x, y]) = unfilled_and_left(times, lung);
     (1.0 - x) * y / (1.0 - x * y)
 }
@@ -314,8 +314,7 @@ fn expiratory_square(lanes: &LungLanes, l: usize) -> f32 {
 /// Conductance of a parabolic resistor at a pressure difference, and its slopes by linear part, square part and difference.
 fn conductance(linear: f32, square: f32, difference: f32) -> (f32, [f32; 3]) {
     let size = difference.abs();
-    let root = (linear * linear + 4.0 * square * size).sqrt();
-    let g = 2.0 / (linear + root);
+    let (g, root) = branch::conductance(linear, square, size);
     let by_sum = -0.5 * g * g;
     let by_difference = by_sum * 2.0 * square / root * difference.signum();
     (g, [by_sum * (1.0 + linear / root), by_sum * 2.0 * size / root, by_difference])

@@ -11,18 +11,25 @@
 //! w -> circuit, lung -> p -> sensor    supply, expiratory valve as it closes, leak, R, C      lung.rs
 //! ```
 
-pub(crate) mod lung;
+mod graph;
+mod lung;
 mod numbers;
 pub mod spread;
-pub(crate) mod valve;
+mod valve;
 
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shared::settings::Settings;
 
 use self::lung::{LungLanes, LungTape};
 pub use self::numbers::{UnitNumbers, valve_flows};
 use self::valve::{ValveLanes, ValveTape};
-use super::{BreathStart, CommandLog, Dynamics, Members, Timing};
+use super::block::Block;
+use super::design::{Design, Dynamics};
+use super::shape::{ShapeError, members, within};
+use super::{BreathStart, CommandLog, Members, Timing};
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
 use engine::{LANES, Lane};
 
 /// Usual numbers of a unit, in the order of the parameters. Each parameter is the logarithm of its number.
@@ -47,9 +54,12 @@ const USUAL: [f32; PER_UNIT] = [
 /// Number of parameters of a unit.
 pub const PER_UNIT: usize = 16;
 /// Number of parameters of the valve; those of the lung follow.
-pub(crate) const VALVE: usize = 7;
+const VALVE: usize = 7;
 /// Number of parameters of lung and circuit.
 const LUNG: usize = PER_UNIT - VALVE;
+
+/// Longest phase of a breath that a file may have, ms.
+const PHASE_MAX_MS: usize = 3_600_000;
 
 /// Shape of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -84,11 +94,6 @@ impl UnitConfig {
         }
     }
 
-    /// Number of parameters.
-    pub fn parameters(&self) -> usize {
-        self.units * PER_UNIT
-    }
-
     /// Initial parameters: usual numbers for every unit.
     pub fn initialise(&self) -> Vec<f32> {
         let usual = USUAL.map(f32::ln);
@@ -96,16 +101,56 @@ impl UnitConfig {
     }
 }
 
-/// The units, ready to run.
-#[derive(Clone, Debug)]
-pub(super) struct Units {
-    config: UnitConfig,
-    parameters: Vec<f32>,
+impl Design for UnitConfig {
+    fn timing(&self) -> &Timing {
+        &self.timing
+    }
+
+    fn parameters(&self) -> usize {
+        self.units * PER_UNIT
+    }
+
+    fn members(&self) -> usize {
+        self.units
+    }
+
+    fn many_lungs(&self) -> bool {
+        self.units > 1
+    }
+
+    fn check(&self) -> Result<(), ShapeError> {
+        self.timing.check()?;
+        self.timing.check_single_ticks()?;
+        members("units", self.units, 1)?;
+        within("inspiration_ms", self.inspiration_ms as usize, 1, PHASE_MAX_MS)?;
+        within("expiration_ms", self.expiration_ms as usize, 1, PHASE_MAX_MS)
+    }
+
+    fn initialise(&self, _rng: &mut ChaCha8Rng) -> Vec<f32> {
+        UnitConfig::initialise(self)
+    }
+
+    fn dynamics(&self, parameters: &[f32], blocks: usize) -> Box<dyn Dynamics> {
+        Box::new(Units {
+            config: *self,
+            parameters: parameters.to_vec(),
+            machines: [None; LANES],
+            lungs: [None; LANES],
+            valve: ValveTape::new(blocks),
+            lung: LungTape::new(blocks),
+        })
+    }
+
+    fn graph(&self, graph: &mut Builder, block: &Block, parameters: &[f32]) -> (Value, State) {
+        graph::unit(graph, block, self, parameters)
+    }
 }
 
-/// Forward values and backward gradients of a rollout.
-#[derive(Clone, Debug)]
-pub(super) struct UnitTape {
+/// The units with their parameters, and the forward values and backward gradients of a rollout.
+#[derive(Debug)]
+struct Units {
+    config: UnitConfig,
+    parameters: Vec<f32>,
     machines: Members,
     lungs: Members,
     valve: ValveTape,
@@ -113,15 +158,6 @@ pub(super) struct UnitTape {
 }
 
 impl Units {
-    /// Units from their parameters.
-    ///
-    /// # Panics
-    /// If `parameters` does not have [`UnitConfig::parameters`] entries.
-    pub fn new(config: UnitConfig, parameters: &[f32]) -> Self {
-        assert_eq!(parameters.len(), config.parameters(), "parameters of another shape");
-        Self { config, parameters: parameters.to_vec() }
-    }
-
     /// Index of the first parameter of a lane's unit; the first unit's if it is not known.
     fn first(&self, member: Option<u32>) -> usize {
         let unit = member.map_or(0, |unit| unit as usize);
@@ -135,42 +171,36 @@ impl Units {
 }
 
 impl Dynamics for Units {
-    type Tape = UnitTape;
-
-    fn tape(&self, blocks: usize) -> UnitTape {
-        UnitTape {
-            machines: [None; LANES],
-            lungs: [None; LANES],
-            valve: ValveTape::new(blocks),
-            lung: LungTape::new(blocks),
-        }
+    fn load(&mut self, parameters: &[f32]) {
+        self.parameters.copy_from_slice(parameters);
     }
 
-    fn begin(&self, tape: &mut UnitTape, start: &BreathStart) {
-        tape.machines = start.ventilator;
-        tape.lungs = std::array::from_fn(|l| start.group[l].or(start.ventilator[l]));
+    fn begin(&mut self, start: &BreathStart) {
+        self.machines = start.ventilator;
+        self.lungs = std::array::from_fn(|l| start.group[l].or(start.ventilator[l]));
         let tick_s = self.config.timing.block_s();
-        let valve: [Lane; VALVE] = std::array::from_fn(|n| self.number(&tape.machines, n));
-        let lung: [Lane; LUNG] = std::array::from_fn(|n| self.number(&tape.lungs, VALVE + n));
-        tape.valve.begin(&ValveLanes::new(&valve, tick_s));
+        let valve: [Lane; VALVE] = std::array::from_fn(|n| self.number(&self.machines, n));
+        let lung: [Lane; LUNG] = std::array::from_fn(|n| self.number(&self.lungs, VALVE + n));
+        self.valve.begin(&ValveLanes::new(&valve, tick_s));
         let times = [self.config.inspiration_ms, self.config.expiration_ms].map(|ms| ms as f32 * 1e-3);
-        tape.lung.begin(&LungLanes::new(&lung, tick_s, times), start);
+        self.lung.begin(&LungLanes::new(&lung, tick_s, times), start);
     }
 
-    fn step(&self, tape: &mut UnitTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        let opening = tape.valve.step(block, log);
-        points[0] = tape.lung.step(block, &opening, &tape.valve.lanes.full_flow, &tape.valve.lanes.supply);
+    fn step(&mut self, block: usize, log: &CommandLog, points: &mut [Lane]) {
+        let opening = self.valve.step(block, log);
+        let ValveLanes { full_flow, supply, .. } = &self.valve.lanes;
+        points[0] = self.lung.step(block, &opening, full_flow, supply);
     }
 
-    fn step_back(&self, tape: &mut UnitTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
-        let ValveTape { lanes, openings, .. } = &tape.valve;
-        let d = tape.lung.step_back(block, &openings[block], &lanes.full_flow, &lanes.supply, &d_points[0]);
-        tape.valve.step_back(block, &d, d_log);
+    fn step_back(&mut self, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
+        let ValveTape { lanes, openings, .. } = &self.valve;
+        let d = self.lung.step_back(block, &openings[block], &lanes.full_flow, &lanes.supply, &d_points[0]);
+        self.valve.step_back(block, &d, d_log);
     }
 
-    fn finish(&self, tape: &mut UnitTape, gradient: &mut [f32]) {
-        let valve = tape.valve.gradient().map(|d| (d, &tape.machines));
-        let lung = tape.lung.gradient().map(|d| (d, &tape.lungs));
+    fn finish(&self, gradient: &mut [f32]) {
+        let valve = self.valve.gradient().map(|d| (d, &self.machines));
+        let lung = self.lung.gradient().map(|d| (d, &self.lungs));
         for (n, (d, members)) in valve.into_iter().chain(lung).enumerate() {
             for (l, member) in members.iter().enumerate() {
                 gradient[self.first(*member) + n] += d[l];
@@ -207,9 +237,8 @@ mod tests {
     #[test]
     fn the_valve_of_a_unit_works_on_the_lung_of_another() {
         let (config, parameters) = prompt();
-        let units = Units::new(config, &parameters);
         let pressures = |ventilator: u32, group: Option<u32>| {
-            let mut tape = Dynamics::tape(&units, 40);
+            let mut units = config.dynamics(&parameters, 40);
             let pressure = Lane::splat(5.0);
             let start = BreathStart {
                 pressure,
@@ -220,11 +249,11 @@ mod tests {
             };
             let mut log = CommandLog::new(40, vec![Lane::splat(0.1)]);
             let mut points = [Lane::ZERO];
-            Dynamics::begin(&units, &mut tape, &start);
+            units.begin(&start);
             (0..40)
                 .map(|block| {
                     log.block_mut(block).fill(Lane::splat(0.8));
-                    Dynamics::step(&units, &mut tape, block, &log, &mut points);
+                    units.step(block, &log, &mut points);
                     points[0][0]
                 })
                 .collect::<Vec<f32>>()

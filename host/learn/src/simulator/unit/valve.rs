@@ -9,18 +9,18 @@ use super::VALVE;
 use crate::simulator::{COMMAND_SCALE, CommandLog};
 use engine::{LANES, Lane};
 
-pub(crate) const DEAD_TIME: usize = 0;
-pub(crate) const LAG: usize = 1;
-pub(crate) const PLAY: usize = 2;
-pub(crate) const ZONE: usize = 3;
-pub(crate) const EXPONENT: usize = 4;
-pub(crate) const FULL_FLOW: usize = 5;
-pub(crate) const SUPPLY: usize = 6;
+pub(super) const DEAD_TIME: usize = 0;
+pub(super) const LAG: usize = 1;
+pub(super) const PLAY: usize = 2;
+pub(super) const ZONE: usize = 3;
+pub(super) const EXPONENT: usize = 4;
+pub(super) const FULL_FLOW: usize = 5;
+pub(super) const SUPPLY: usize = 6;
 const MS_PER_S: f32 = 1e3;
 /// Highest command, percent.
-pub(crate) const FULL: f32 = 100.0;
+pub(super) const FULL: f32 = 100.0;
 /// Travel beyond the dead zone, as a share, below which nothing flows.
-pub(crate) const LEAST: f32 = 1e-4;
+pub(super) const LEAST: f32 = 1e-4;
 
 /// Share of the full flow of a unit with these parameters that a held command gives, percent.
 pub(super) fn opening(parameters: &[f32], command: f32) -> f32 {

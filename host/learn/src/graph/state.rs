@@ -1,6 +1,6 @@
 //! The state of a graph: named pieces of one matrix, which is an input and, one step later, an output.
 
-use super::graph::{Builder, Value};
+use super::{Builder, Value};
 
 /// Pieces of a state, in the order of its columns.
 #[derive(Debug)]

@@ -3,7 +3,10 @@
 //! Every value is a matrix with a row for each member of the batch, or constants with one row, which stand for all of them. A
 //! [`Value`] names such a matrix; the operators are ONNX's.
 
-use super::proto::{
+pub mod proto;
+pub mod state;
+
+use self::proto::{
     ATTRIBUTE_INT, Attribute, Dimension, Entry, FLOAT, Graph, INT64, IR_VERSION, Model, Node, OPSET,
     OperatorSet, Shape, Size, Tensor, TensorType, Type, ValueInfo,
 };

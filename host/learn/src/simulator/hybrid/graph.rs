@@ -1,23 +1,22 @@
 //! The hybrid simulator as a graph: a ventilator and a physical lung with the nominal R and C of the input `start`. It is that of a test
 //! run that was not recorded, so the network that explains the remainder of a recorded run is not a part of it.
 
-use super::graph::{Builder, Value};
-use super::recurrent::{begin, known, leaky};
-use super::simulator::{Block, commands_seen, pressures};
-use super::state::State;
+use super::HybridConfig;
+use super::lung::{ML_PER_L, NOMINAL, Physics, ROUNDING};
+use super::ventilator::{MOST_OPENING, OPENINGS, USUAL_OPENING};
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
 use crate::simulator::BreathStart;
-use crate::simulator::hybrid::HybridConfig;
-use crate::simulator::hybrid::lung::{ML_PER_L, NOMINAL, Physics, ROUNDING};
-use crate::simulator::hybrid::ventilator::{MOST_OPENING, OPENINGS, USUAL_OPENING};
+use crate::simulator::block::{Block, commands_seen, known, pressures};
+use crate::simulator::branch::conductance_graph;
+use crate::simulator::leaky::{begin_graph, step_graph};
 
-/// The graph: the pressures, and the state after the block. `ventilator` is one of the recorded ones; none is a ventilator without
-/// deviations.
+/// The graph: the pressures, and the state after the block.
 pub(super) fn hybrid(
     graph: &mut Builder,
     block: &Block,
     config: &HybridConfig,
     parameters: &[f32],
-    ventilator: Option<u32>,
 ) -> (Value, State) {
     let timing = &config.timing;
     let pieces = [
@@ -31,8 +30,7 @@ pub(super) fn hybrid(
     let [rest, _] = block.rest(graph);
     let seen = commands_seen(graph, &mut state, block, (timing, config.history), &rest);
     let layout = config.layout();
-    let openings =
-        openings(graph, &mut state, block, (config, &parameters[layout.ventilator]), &seen, ventilator);
+    let openings = openings(graph, &mut state, block, (config, &parameters[layout.ventilator]), &seen);
     let physics = Physics::new(timing, &parameters[layout.physics]);
     let lung = Lung::of(graph, block, &physics);
     begin_lung(graph, &mut state, block, physics.left);
@@ -47,14 +45,13 @@ fn openings(
     block: &Block,
     (config, parameters): (&HybridConfig, &[f32]),
     seen: &Value,
-    ventilator: Option<u32>,
 ) -> [Value; OPENINGS] {
     let ([filters, curves, source, start], decay, own) = config.ventilator_layout();
     let known = known(graph, block, BreathStart::KNOWN);
-    begin(graph, state, block, (&start, parameters), &known);
-    let filtered = leaky(graph, state, (&filters, parameters), &parameters[decay..own], seen);
+    begin_graph(graph, state, block, (&start, parameters), &known);
+    let filtered = step_graph(graph, state, (&filters, parameters), &parameters[decay..own], seen);
     let width = config.hidden + OPENINGS;
-    let own = match ventilator {
+    let own = match block.unit {
         Some(number) => parameters[own + number as usize * width..][..width].to_vec(),
         None => vec![0.0; width],
     };
@@ -129,17 +126,12 @@ impl Lung {
         next
     }
 
-    /// Conductance of the resistor at a pressure drop: `2 / (R1 + sqrt(R1^2 + 4 R2 |drop|))`, smoothed around zero.
+    /// Conductance of the resistor at a pressure drop, smoothed around zero.
     fn conductance(&self, graph: &mut Builder, drop: &Value) -> Value {
         let size = graph.mul(drop, drop);
         let size = graph.shift(&size, ROUNDING * ROUNDING);
         let size = graph.op("Sqrt", &[&size]);
-        let root = graph.mul(&self.square, &size);
-        let root = graph.add(&self.linear_square, &root);
-        let root = graph.op("Sqrt", &[&root]);
-        let sum = graph.add(&self.linear, &root);
-        let two = graph.number(2.0);
-        graph.div(&two, &sum)
+        conductance_graph(graph, [&self.linear, &self.linear_square, &self.square], &size)
     }
 }
 

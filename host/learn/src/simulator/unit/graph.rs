@@ -1,15 +1,16 @@
 //! The physical simulator of a unit as a graph: valve, circuit and lung by their equations, with the unit's numbers as constants.
 
-use super::graph::{Builder, Value};
-use super::simulator::{Block, commands_seen, pressures};
-use super::state::State;
-use crate::simulator::COMMAND_SCALE;
-use crate::simulator::unit::lung::{
+use super::lung::{
     CIRCUIT, CLOSING, COMPLIANCE, EXPIRATORY_LINEAR, LEAK, LEAK_PARTS, LEAST_DRIVE, ML_PER_L, ORIFICE,
     OUTWARD, RESISTANCE, SENSOR, TURBULENCE, left_in_lung,
 };
-use crate::simulator::unit::valve::{DEAD_TIME, EXPONENT, FULL, FULL_FLOW, LAG, LEAST, PLAY, SUPPLY, ZONE};
-use crate::simulator::unit::{PER_UNIT, UnitConfig, VALVE};
+use super::valve::{DEAD_TIME, EXPONENT, FULL, FULL_FLOW, LAG, LEAST, PLAY, SUPPLY, ZONE};
+use super::{PER_UNIT, UnitConfig, VALVE};
+use crate::graph::state::State;
+use crate::graph::{Builder, Value};
+use crate::simulator::COMMAND_SCALE;
+use crate::simulator::block::{Block, commands_seen, pressures};
+use crate::simulator::branch::conductance_graph;
 
 /// The numbers of a unit.
 struct Numbers<'a> {
@@ -37,16 +38,15 @@ impl Numbers<'_> {
     }
 }
 
-/// The graph of the unit with this number: the pressures, and the state after the tick.
+/// The graph: the pressures, and the state after the tick.
 pub(super) fn unit(
     graph: &mut Builder,
     block: &Block,
     config: &UnitConfig,
     parameters: &[f32],
-    unit: u32,
 ) -> (Value, State) {
     let numbers = Numbers {
-        logarithms: &parameters[unit as usize * PER_UNIT..][..PER_UNIT],
+        logarithms: &parameters[block.unit.unwrap_or(0) as usize * PER_UNIT..][..PER_UNIT],
         tick_ms: 1e3 * config.timing.block_s(),
     };
     let dead_time = numbers.valve(DEAD_TIME) / numbers.tick_ms;
@@ -176,10 +176,7 @@ fn inflow(graph: &mut Builder, numbers: &Numbers<'_>, opening: &Value, pressure:
 /// Conductance of a parabolic resistor at a pressure difference.
 fn conductance(graph: &mut Builder, (linear, square): (f32, f32), difference: &Value) -> Value {
     let size = graph.op("Abs", &[difference]);
-    let root = graph.scale(&size, 4.0 * square);
-    let root = graph.shift(&root, linear * linear);
-    let root = graph.op("Sqrt", &[&root]);
-    let sum = graph.shift(&root, linear);
-    let two = graph.number(2.0);
-    graph.div(&two, &sum)
+    let [linear, linear_square, four_square] =
+        [linear, linear * linear, 4.0 * square].map(|number| graph.number(number));
+    conductance_graph(graph, [&linear, &linear_square, &four_square], &size)
 }
