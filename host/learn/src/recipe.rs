@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use crate::pipeline::{PAPER_PEEP, PAPER_PERIOD_US};
 use crate::simulator::episode::{Episode, channels, split, ventilators};
-use crate::simulator::fit::{Fit, FitConfig};
+use crate::simulator::fit::{FIT, Fit, FitConfig};
 use crate::simulator::hybrid::HybridConfig;
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;

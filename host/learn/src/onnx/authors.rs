@@ -9,6 +9,7 @@ use crate::controller::authors::averages::ERRORS;
 use crate::controller::authors::convolution::{KERNEL, POSITIONS, layout};
 use crate::graph::state::State;
 use crate::graph::{Builder, Value};
+use ventilator::law::Law;
 
 /// The file of a controller of the authors' architecture.
 pub fn authors(controller: &AuthorsController) -> Vec<u8> {

@@ -19,7 +19,7 @@ impl FarmRun<'_> {
         let trained = id_of(image)?;
         let mut device = worker.recognised()?;
         device.stop()?;
-        let running = device.identify()?.running_id().map(text);
+        let running = device.identify()?.running_id().map(|id| ImageId(id).to_string());
         let known = worker.folder.state()?.weights;
         if known.is_some_and(|known| known.trained == trained && Some(known.stored) == running) {
             return Ok(());
@@ -28,7 +28,7 @@ impl FarmRun<'_> {
         let stored = id_of(&image)?;
         if running.as_ref() != Some(&stored) {
             device.upload(&image, &progress.of(worker.unit.name.as_str()))?;
-            if device.restart()?.running_id().map(text) != Some(stored.clone()) {
+            if device.restart()?.running_id().map(|id| ImageId(id).to_string()) != Some(stored.clone()) {
                 return Err(FarmError::NotStored("weights"));
             }
         }
