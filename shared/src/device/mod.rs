@@ -28,6 +28,7 @@ mod upload;
 #[cfg(test)]
 mod tests;
 
+pub use alarm_events::REPEAT_TIME;
 use crate::calibration::SensorCorrection;
 pub use crate::control::pid::KNOWN_GOOD;
 use crate::explore::Exploration;
