@@ -112,7 +112,9 @@ fn the_documents_state_the_numbers_that_act() {
 
 #[test]
 fn each_number_of_the_safety_document_is_reported_when_it_changes() {
-    let (code, text) = (Code::new(), read(SAFETY));
+    let code = Code::new();
+    // An outdated table would hide every other difference.
+    let text = code.corrected(SAFETY, read(SAFETY));
     let unchecked: Vec<_> = checked_numbers(&text)
         .into_iter()
         .filter(|number| {
