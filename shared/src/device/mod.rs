@@ -28,7 +28,6 @@ mod upload;
 #[cfg(test)]
 mod tests;
 
-pub use alarm_events::REPEAT_TIME;
 use crate::calibration::SensorCorrection;
 pub use crate::control::pid::KNOWN_GOOD;
 use crate::explore::Exploration;
@@ -37,6 +36,7 @@ use crate::link::telemetry::{BreathSummary, Counters};
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
+pub use alarm_events::REPEAT_TIME;
 use self_test::Check;
 
 /// A request from the server to the control half.

@@ -68,7 +68,10 @@ impl Code {
     /// Where a document's text differs from the code.
     fn problems<'a>(&'a self, document: &'a str, text: &'a str) -> impl Iterator<Item = String> + 'a {
         let outdated = |(name, table): &(&str, String)| {
-            (between_marks(text, name).1 != table).then(|| format!("the part `{name}` is outdated"))
+            let stated: Vec<_> = between_marks(text, name).1.lines().collect();
+            let missing = || table.lines().find(|line| !stated.contains(line)).unwrap_or_default();
+            (!table.lines().eq(stated.iter().copied()))
+                .then(|| format!("the part `{name}` is outdated; the code has: {}", missing()))
         };
         let tables = self.tables_of(document).iter().filter_map(outdated);
         tables.chain(self.claims_of(document).filter_map(|claim| claim.problem(text)))

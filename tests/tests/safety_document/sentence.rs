@@ -110,7 +110,7 @@ pub fn quoted(file: &str, words: &str) -> f64 {
     let text = super::read(file);
     let first = words.split('{').next().unwrap_or_default();
     let found = text.match_indices(first).find_map(|(at, _)| numbers_at(&text, at, words));
-    let place = found.map(|places| places[0].clone()).unwrap_or_else(|| panic!("{file} lacks `{words}`"));
+    let place = found.unwrap_or_else(|| panic!("{file} lacks `{words}`"))[0].clone();
     text[place].replace('_', "").parse().unwrap_or_else(|error| panic!("{file}, `{words}`: {error}"))
 }
 
