@@ -10,13 +10,13 @@ use crate::math;
 use crate::safety::monitors::ticks;
 
 /// Time over which a signal is averaged, s.
-const BLOCK: f32 = 0.01;
+pub const BLOCK: f32 = 0.01;
 /// Blocks between the line and the latest one: an effort must not bend the line at once.
-const GAP: usize = 5;
+pub const GAP: usize = 5;
 /// Smallest and largest number of blocks through which the line is drawn.
-const LINE: (usize, usize) = (12, 24);
+pub const LINE: (usize, usize) = (12, 24);
 /// Blocks after the inspiration that belong to no line: the expiratory valve opens.
-const OPENING: usize = 19;
+pub const OPENING: usize = 19;
 /// Blocks that are kept.
 const KEPT: usize = 32;
 /// Multiple of the mean noise of a value below which a deviation of a block of one value can be noise: five standard deviations

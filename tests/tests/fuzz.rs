@@ -4,8 +4,8 @@
 //! If a fuzzer finds a failing input, put the file into `fuzz/seeds/<target>`, so that this test always runs it.
 //! `EUPNEA_BLESS=1` regenerates the seeds that cover every message.
 
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::{env, fs};
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
@@ -240,9 +240,8 @@ fn with_time(frames: &[Vec<u8>]) -> Vec<u8> {
 
 #[test]
 fn the_seeds_hold_every_message() {
-    let bless = env::var_os("EUPNEA_BLESS").is_some();
     for (file, bytes) in fresh_seeds() {
-        if bless {
+        if tests::blesses() {
             fs::create_dir_all(file.parent().expect("a folder")).expect("the folder can be made");
             fs::write(&file, &bytes).expect("the seed can be written");
         }

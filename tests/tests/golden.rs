@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::{env, fs, iter};
+use std::{fs, iter};
 
 use shared::control::Controller;
 use tests::trace::{self, Entry};
@@ -35,7 +35,7 @@ fn compare(name: &str, controller: Controller) {
     );
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("golden").join(name).with_extension("txt");
     let now = text(&trace.entries);
-    if env::var_os("EUPNEA_BLESS").is_some_and(|value| value == "1") {
+    if tests::blesses() {
         fs::write(&path, now).expect("the golden file can be written");
         return;
     }

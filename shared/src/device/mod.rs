@@ -36,6 +36,7 @@ use crate::link::telemetry::{BreathSummary, Counters};
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
+pub use alarm_events::REPEAT_TIME;
 use self_test::Check;
 
 /// A request from the server to the control half.

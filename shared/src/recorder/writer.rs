@@ -8,7 +8,7 @@ use crate::settings::Settings;
 use crate::ventilator::{Mode, Output};
 
 /// Least number of ticks between two log entries of a kind that could occur in every tick or breath.
-const LOG_INTERVAL: u32 = 60_000;
+pub const LOG_INTERVAL: u32 = 60_000;
 
 /// Description of the device's start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

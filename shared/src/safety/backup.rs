@@ -18,15 +18,16 @@ const BINS: usize = 64;
 /// Weight of a new breath in the mean profile.
 const NEW_BREATH: f32 = 0.3;
 /// Compliance that is assumed before the first good breath, L/cmH2O: that of a stiff adult lung.
-const STIFFEST: f32 = 0.01;
+pub const STIFFEST: f32 = 0.01;
 /// Flow of the valve per command that is assumed before the first good breath, (L/s)/%: its mean slope at small commands.
 const FLOW_PER_COMMAND: f32 = 0.009;
 
 /// Rise of the command per missing volume, %/mL: the flow makes up for it with a time constant of about 0.15 s.
 const CORRECTION: f32 = 0.4;
-/// Lowest and highest share of the model's volume that a sound flow sensor measures, and the gas that stays in the circuit, mL.
-const PLAUSIBLE: (f32, f32) = (0.5, 1.5);
-const IN_CIRCUIT: f32 = 50.0;
+/// Lowest and highest share of the model's volume that a sound flow sensor measures.
+pub const PLAUSIBLE: (f32, f32) = (0.5, 1.5);
+/// Gas that stays in the circuit, mL.
+pub const IN_CIRCUIT: f32 = 50.0;
 
 /// Values over the bins of the last good inspiration and of the running one, which becomes the good one in a single step.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,34 +7,42 @@ use super::windows::Windows;
 use crate::breath::Moment;
 
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
-pub(super) const ABOVE_PEEP: f32 = 3.0;
+pub const ABOVE_PEEP: f32 = 3.0;
 /// Pressure below PEEP at which PEEP counts as lost, cmH2O.
-const BELOW_PEEP: f32 = 2.0;
+pub const BELOW_PEEP: f32 = 2.0;
 /// Fraction of the rise from PEEP to PIP that an inspiration must reach.
-const REACHED: f32 = 0.3;
+pub const REACHED: f32 = 0.3;
 /// Mean command above which the valve counts as wide open, percent.
-const WIDE_OPEN: f32 = 60.0;
+pub const WIDE_OPEN: f32 = 60.0;
 /// Fraction of PEEP below which the airway is open; an effort rarely pulls the pressure so low.
-const OPEN_END: f32 = 0.4;
+pub const OPEN_END: f32 = 0.4;
 /// Command above which the pressure of a connected airway must rise, percent.
-const FILLING: f32 = 30.0;
+pub const FILLING: f32 = 30.0;
 /// Fraction of the earlier compliance below which the tube counts as occluded.
-const OCCLUDED: f32 = 1.0 / 3.0;
+pub const OCCLUDED: f32 = 1.0 / 3.0;
 /// Share of the delivered volume that passes an open or narrowed tube to the patient, and comes out again. With an occluded one
 /// the gas stays in the circuit.
-const PASSES: f32 = 0.5;
+pub const PASSES: f32 = 0.5;
 /// Share of the delivered volume that comes out of an open tube: the circuit keeps the rest.
-const OPEN: f32 = 0.8;
+pub const OPEN: f32 = 0.8;
+/// Breaths in a row that end above PEEP and are a fault.
+pub const HIGH_BREATHS: u32 = 2;
+/// Breaths in a row that end below PEEP and are a fault.
+pub const LOW_BREATHS: u32 = 3;
+/// Inspirations in a row that end with a low pressure and are a fault.
+pub const WEAK_BREATHS: u32 = 2;
+/// Breaths in a row with a low compliance that are a fault.
+pub const OCCLUDED_BREATHS: u32 = 2;
 /// Breaths in a row with a low compliance that are a fault although gas passes the tube: efforts against the machine can take
 /// the volume of several.
-const NARROWED_BREATHS: u32 = 10;
+pub const NARROWED_BREATHS: u32 = 10;
 /// Breaths in a row that end above PEEP and are a fault although efforts end them early: a few can follow double efforts.
-const TRAPPED_BREATHS: u32 = 4;
+pub const TRAPPED_BREATHS: u32 = 4;
 /// Smallest rise from which a compliance is estimated, cmH2O.
 const TELLING_RISE: f32 = 3.0;
 
 /// Breaths after a change of settings that raise no alarm.
-pub(super) const UNCHECKED_BREATHS: u32 = 2;
+pub const UNCHECKED_BREATHS: u32 = 2;
 /// Breaths in a row with a leak that make the earlier volumes useless; an occlusion looks like a leak for one breath.
 const LEAKY_BREATHS: u32 = 3;
 /// Breaths with a lower compliance after which it is taken for the lung's own.
@@ -44,10 +52,10 @@ const CONNECTED: f32 = 0.05;
 
 /// Length of the averaging window at the end of a phase, s.
 const END_OF_PHASE: f32 = 0.05;
-/// Time in inspirations for which the airway pressure may be lost, s: strong efforts take more gas than there is for a while, and
-/// with a capped command for the second time.
-const DISCONNECTED: f32 = 0.6;
-const SLOW_DISCONNECTED: f32 = 1.2;
+/// Time in inspirations for which the airway pressure may be lost, s: strong efforts take more gas than there is for a while.
+pub const DISCONNECTED: f32 = 0.6;
+/// The same with a capped command, s.
+pub const SLOW_DISCONNECTED: f32 = 1.2;
 
 /// Checks the phases of each breath.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -177,11 +185,11 @@ impl BreathMonitor {
             disconnected: enabled.limit(Fault::Disconnection, ticks(DISCONNECTED, period_us)),
             slow_disconnected: enabled.limit(Fault::Disconnection, ticks(SLOW_DISCONNECTED, period_us)),
             connected: ticks(CONNECTED, period_us),
-            high: enabled.limit(Fault::BaselineHigh, 2),
+            high: enabled.limit(Fault::BaselineHigh, HIGH_BREATHS),
             above: enabled.limit(Fault::BaselineHigh, TRAPPED_BREATHS),
-            low: enabled.limit(Fault::BaselineLow, 3),
-            weak: enabled.limit(Fault::LowPressure, 2),
-            occluded: enabled.limit(Fault::Occlusion, 2),
+            low: enabled.limit(Fault::BaselineLow, LOW_BREATHS),
+            weak: enabled.limit(Fault::LowPressure, WEAK_BREATHS),
+            occluded: enabled.limit(Fault::Occlusion, OCCLUDED_BREATHS),
         }
     }
 

@@ -6,10 +6,10 @@
 
 /// Distance below the target from which the pressure rises while gas flows in, cmH2O. A controller near its target may hold
 /// the pressure to within a quantum of the sensor.
-const AWAY: f32 = 2.0;
+pub const AWAY: f32 = 2.0;
 /// Distance above PEEP from which it falls by a quantum of 0.1 cmH2O in less than the monitor's time, cmH2O: it takes an
 /// expiratory flow that only a short time constant allows.
-const ABOVE: f32 = 5.0;
+pub const ABOVE: f32 = 5.0;
 /// Smallest rise in [`super::lung_estimator::WINDOW`] ticks that the lung estimate predicts for flowing gas, cmH2O.
 const RISING: f32 = 1.5;
 /// Flow out of the lung while it empties, L/s.

@@ -22,7 +22,7 @@ const RISE: f32 = 40.0;
 /// Fall of the compensation while the pressure does not sag, %/s.
 const RELEASE: f32 = 8.0;
 /// Highest command of the compensation, percent.
-const BOUND: f32 = 40.0;
+pub const BOUND: f32 = 40.0;
 /// Leak that is an open tube, L/s at 1 cmH2O: 0.8 L/s at 30 cmH2O. No flow makes up for it.
 const OPEN_TUBE: f32 = 0.15;
 /// Flow of a leak at PEEP from which it is made up for in advance, and the flow beyond it that keeps the PEEP valve open, L/s.
@@ -33,21 +33,23 @@ const SPREAD: f32 = 0.2;
 /// Pressure above PIP from which nothing is added to it, cmH2O: a patient coughs.
 const OVERSHOOT: f32 = 2.0;
 /// Compensation above which it indicates a leak, percent.
-const LEAK: f32 = 5.0;
+pub const LEAK: f32 = 5.0;
 /// Share of the inspired volume that comes out of a tight circuit; efforts need compensation too, but their gas comes out.
 pub const TIGHT: f32 = 0.75;
 /// Share below which the circuit leaks, whatever the compensation: a low PEEP needs none.
-const OPEN: f32 = 0.6;
+pub const OPEN: f32 = 0.6;
 /// Compensation of a sag throughout a breath above which PEEP is held by flow alone, percent: the PEEP valve is stuck open,
 /// or the flow sensor does not show the leak.
-const HELD: f32 = 20.0;
+pub const HELD: f32 = 20.0;
 /// Rise of the compensation in an expiration that an effort ends of which no more is kept, percent: a leak needs a little more in
 /// each breath, an effort much for a moment.
 const KEPT: f32 = 5.0;
 /// Breaths in a row with such a compensation or loss that raise the alarm.
-const LEAKS: u32 = 5;
+pub const LEAKS: u32 = 5;
 /// Incomplete expirations in a row to which the ventilator responds.
-const IN_A_ROW: u32 = 2;
+pub const IN_A_ROW: u32 = 2;
+/// Part of a breath, one in so many, by which an expiration may be longer.
+pub const LONGER: u32 = 2;
 /// Time before the end of the expiration from which a constant pressure has changed little, s.
 const CONSTANT_FOR: f32 = 0.5;
 /// Largest such change, cmH2O.
@@ -55,7 +57,7 @@ const CONSTANT: f32 = 0.5;
 /// Share of the inspired volume that must come out before PIP may follow its baseline.
 const COMES_OUT: f32 = 0.5;
 /// Distance from the pressure limit that PIP keeps when it rises, cmH2O: more than a normal overshoot.
-const BELOW_LIMIT: f32 = 7.0;
+pub const BELOW_LIMIT: f32 = 7.0;
 /// Time constant of the smoothed pressure, s.
 const SMOOTHING: f32 = 0.02;
 
@@ -207,7 +209,7 @@ impl Expiration {
         let above = state.smooth - moment.settings().peep;
         let due = moment.breath.total_ticks();
         let incomplete = state.incomplete >= IN_A_ROW && above > ABOVE_PEEP;
-        incomplete && state.falling && moment.tick < due + due / 2
+        incomplete && state.falling && moment.tick < due + due / LONGER
     }
 }
 

@@ -11,11 +11,11 @@ use super::alarms::Fault;
 /// Highest command of the capped PID, percent.
 pub const CAP: f32 = 40.0;
 /// Consecutive strikes at which the PID replaces the learned controller.
-const LEARNED_STRIKES: u32 = 2;
+pub const LEARNED_STRIKES: u32 = 2;
 /// Consecutive clean breaths that lead one level up for the first time; each step up doubles their number.
-const CLEAN_BREATHS: u32 = 5;
+pub const CLEAN_BREATHS: u32 = 5;
 /// Doublings of [`CLEAN_BREATHS`]: in the end 80 breaths, so that a controller that fails every time has few chances to.
-const DOUBLINGS: u32 = 4;
+pub const DOUBLINGS: u32 = 4;
 
 /// Level of the ladder: the controller that commands the inspiratory valve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]

@@ -9,17 +9,17 @@ use crate::breath::period_s;
 use crate::math;
 
 /// Dead time of the valve, s.
-const DEAD_TIME: f32 = 0.012;
+pub const DEAD_TIME: f32 = 0.012;
 /// First-order lag of the valve, s.
-const LAG: f32 = 0.025;
+pub const LAG: f32 = 0.025;
 /// Flow of the valve into ambient pressure at 0, 10, .. 100 percent, L/s.
-const FLOW: [f32; 11] = [0.0, 0.046, 0.161, 0.303, 0.463, 0.639, 0.827, 1.026, 1.233, 1.449, 1.67];
+pub const FLOW: [f32; 11] = [0.0, 0.046, 0.161, 0.303, 0.463, 0.639, 0.827, 1.026, 1.233, 1.449, 1.67];
 /// Fraction by which 1 cmH2O of back-pressure reduces the flow: `0.5 / 150`, for a supply pressure of 150 cmH2O.
 const BACK_PRESSURE: f32 = 0.0033;
 /// Longest dead time, ticks.
 const DELAY_MAX: usize = 48;
 /// Elastance of the softest lung, cmH2O/mL; assumed until there is an estimate.
-const SOFTEST: f32 = 1.0 / 120.0;
+pub const SOFTEST: f32 = 1.0 / 120.0;
 /// Lowest and highest elastance that an estimate may have, cmH2O/mL.
 const ELASTANCES: (f32, f32) = (SOFTEST, 1.0);
 /// Highest resistance that an estimate may have, cmH2O/(L/s).
@@ -27,11 +27,11 @@ const RESISTANCE_MAX: f32 = 100.0;
 /// Largest fraction of the rise's sum of squares that the fit may leave unexplained.
 const UNEXPLAINED: f32 = 0.1;
 /// Smallest predicted rise at which the pressure is checked, cmH2O.
-const TELLING_RISE: f32 = 10.0;
+pub const TELLING_RISE: f32 = 10.0;
 /// Largest change that is attributed to noise, cmH2O.
 const STANDS: f32 = 0.6;
 /// Fraction of the predicted rise that must be measured.
-const ANSWER: f32 = 0.12;
+pub const ANSWER: f32 = 0.12;
 /// Largest fall below the starting pressure; a larger one means that gas is lost, cmH2O.
 const FALL: f32 = 1.5;
 /// Multiple of a good inspiration's rise that no lung's estimate predicts.
@@ -39,6 +39,8 @@ const FALSE: f32 = 2.0;
 /// Estimates that are kept, and the newest of them that tell how far the gas may have raised the pressure.
 const ESTIMATES: usize = 4;
 const HIGHEST_OF: usize = 2;
+/// Estimates from which the lung is known, if one of them is from a breath that the clock has started.
+pub const KNOWN: usize = 2;
 /// Ticks over which the change is predicted, to detect a reading that freezes in the middle of an inspiration.
 pub const WINDOW: usize = 64;
 /// Smallest delivered volume from which the lung is estimated, mL.
@@ -49,11 +51,11 @@ const TRAPPED: f32 = 3.0;
 /// Shortest inspiration from which the lung is estimated, s: a shorter one has filled little but the tube.
 const TELLING_TIME: f32 = 0.15;
 /// Least share of the model's flow that counts, whatever the flow sensor shows.
-const LEAST_MEASURED: f32 = 0.6;
+pub const LEAST_MEASURED: f32 = 0.6;
 /// Time for which the pressure may be far lower than predicted, s.
-const UNANSWERED: f32 = 0.04;
+pub const UNANSWERED: f32 = 0.04;
 /// Time for which the pressure may stand still against a predicted change, s.
-const STANDING: f32 = 0.02;
+pub const STANDING: f32 = 0.02;
 
 /// Sums of the least-squares fit over the ticks of an inspiration: volume `v`, flow `q` and pressure rise `y`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -294,9 +296,9 @@ impl LungState {
         self.lungs[0]
     }
 
-    /// Whether there are at least two estimates, and one of a timed breath.
+    /// Whether there are at least [`KNOWN`] estimates, and one of a timed breath, which is kept twice.
     pub fn is_known(&self) -> bool {
-        self.lungs.iter().flatten().count() > 2 && self.lungs[ESTIMATES].is_some()
+        self.lungs.iter().flatten().count() > KNOWN && self.lungs[ESTIMATES].is_some()
     }
 
     /// The lowest rise that the estimates predict, cmH2O: a patient's efforts may have falsified all but one of them.

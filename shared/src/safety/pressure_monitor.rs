@@ -8,25 +8,25 @@ use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
 
 /// Pressure above PEEP below which it counts as returned to PEEP, cmH2O.
-const BACK_AT_PEEP: f32 = 3.0;
+pub const BACK_AT_PEEP: f32 = 3.0;
 /// Ticks by which the pressure is extrapolated: at 1 kHz the valve's dead time, in which no command has an effect.
-const AHEAD: f32 = 12.0;
+pub const AHEAD: f32 = 12.0;
 /// Extrapolated pressure above the limit that ends an inspiration, cmH2O: more than noise and a normal rise cause.
-const AHEAD_ABOVE: f32 = 5.0;
+pub const AHEAD_ABOVE: f32 = 5.0;
 /// Weight of a new change in the mean slope.
-const SLOPE_SHARE: f32 = 0.2;
+pub const SLOPE_SHARE: f32 = 0.2;
 
 /// Time above the limit that counts as a spike of noise, s.
-const SPIKE: f32 = 0.003;
+pub const SPIKE: f32 = 0.003;
 /// Time that the pressure may stay above the limit with the expiratory valve open, s: longer than a cough.
-const VENTING: f32 = 0.7;
+pub const VENTING: f32 = 0.7;
 /// Time that the pressure may stay above PEEP without falling in expirations, s.
-const SUSTAINED: f32 = 15.0;
+pub const SUSTAINED: f32 = 15.0;
 /// Time after the expiratory valve opens in which the pressure must fall, and for which it may not have fallen after that, s: a cough
 /// is over by then.
-const FALL: f32 = 0.5;
+pub const FALL: f32 = 0.5;
 /// Fraction of the pressure above PEEP by which it must fall in that time.
-const FALLS: f32 = 0.3;
+pub const FALLS: f32 = 0.3;
 
 /// Compares the pressure with the limit and with PEEP.
 #[derive(Clone, Copy, Debug, PartialEq)]

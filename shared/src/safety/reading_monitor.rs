@@ -16,13 +16,13 @@ pub const NOISE_MAX: f32 = 0.4;
 /// Mean absolute second difference of white noise with a standard deviation of 1: `sqrt(6) sqrt(2 / pi)`.
 pub const SECOND_DIFFERENCE: f32 = 1.954;
 /// Weight of a new second difference in their mean.
-const NOISE_SHARE: f32 = 0.02;
+pub const NOISE_SHARE: f32 = 0.02;
 /// Good readings that cancel one missing reading.
-const MAKE_UP: u32 = 9;
+pub const MAKE_UP: u32 = 9;
 /// Time for which readings may be missing, s.
-const MISSING: f32 = 0.005;
+pub const MISSING: f32 = 0.005;
 /// Time for which a reading may stay the same to the last bit although the pressure must change, s.
-const FROZEN: f32 = 0.06;
+pub const FROZEN: f32 = 0.06;
 /// Time from which a reading stands still, s: longer than a working sensor repeats itself while the pressure changes.
 const STANDS: f32 = 0.02;
 

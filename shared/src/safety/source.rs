@@ -19,27 +19,27 @@ use crate::math;
 use crate::sensor::Readings;
 
 /// Largest plausible difference between outlet and airway, cmH2O: at full flow the tube between them drops up to 5.
-const FAR_APART: f32 = 10.0;
+pub const FAR_APART: f32 = 10.0;
 /// Time for which they may be further apart, s.
-const APART: f32 = 0.02;
+pub const APART: f32 = 0.02;
 /// Difference at the end of an expiration above which one of them is wrong, cmH2O.
-const DOUBTFUL: f32 = 2.0;
+pub const DOUBTFUL: f32 = 2.0;
 /// Highest resistance of the tube between them, cmH2O/(L/s): a flow that compensates a leak drops pressure in it.
-const TUBE: f32 = 4.0;
+pub const TUBE: f32 = 4.0;
 /// Expirations in a row with such a difference after which the worse sensor is not used.
-const DOUBTFUL_BREATHS: u32 = 2;
+pub const DOUBTFUL_BREATHS: u32 = 2;
 /// Difference at the end of an expiration up to which they agree again, cmH2O.
-const AGREE: f32 = 1.0;
+pub const AGREE: f32 = 1.0;
 /// Breaths in a row with so small a difference after which both are used again.
-const AGREED_BREATHS: u32 = 3;
+pub const AGREED_BREATHS: u32 = 3;
 /// Difference at the end of the inspiration up to which they agree, cmH2O: there may still be flow in the tube.
 const AGREE_AT_PLATEAU: f32 = 5.0;
 /// Change of the other sensor, beyond that of the drop in the tube, with which a sensor cannot stand still, cmH2O.
-const MOVED: f32 = 2.0;
+pub const MOVED: f32 = 2.0;
 /// Time constant of the smoothed readings, s: noise alone must not look like a change.
 const SMOOTHING: f32 = 0.01;
 /// Time without a finding after which a sensor is used again, s.
-const SOUND_AGAIN: f32 = 5.0;
+pub const SOUND_AGAIN: f32 = 5.0;
 
 /// Checks both sensors and chooses one.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -37,18 +37,19 @@ use state::{Cut, Start};
 /// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms.
 pub const RESIDUAL_SLEW: f32 = 25_000.0;
 /// Missed ticks within a breath that raise an alarm.
-const MISSED_MAX: u32 = 5;
+pub const MISSED_MAX: u32 = 5;
 /// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure.
-const CUTS_MAX: u32 = 3;
+pub const CUTS_MAX: u32 = 3;
 /// Fraction of the rise from PEEP to PIP that a good inspiration reaches.
 const GOOD_RISE: f32 = 0.7;
 /// Fraction of that rise from which a reading responds to the gas.
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
-const RESPONSES: u32 = 2;
-/// Shares of the inspired volume below which the expiratory path is blocked: of all gas, and without that of a leak.
-const BLOCKED: f32 = 0.2;
-const BLOCKED_WITHOUT_LEAK: f32 = 0.3;
+pub const RESPONSES: u32 = 2;
+/// Share of the inspired volume that comes out below which the expiratory path is blocked.
+pub const BLOCKED: f32 = 0.2;
+/// The same without the gas of a known leak.
+pub const BLOCKED_WITHOUT_LEAK: f32 = 0.3;
 /// Share of the valve's flow that the flow sensor shows if the gas reaches the patient.
 const REACHES: f32 = 0.5;
 /// Recent rise of the flow to the patient that an effort causes, L/s: in a passive lung the flow falls with the pressure.
@@ -56,7 +57,7 @@ const INHALES: f32 = 0.05;
 /// Modelled flow below which no flow need reach the patient, L/s.
 const LITTLE_FLOW: f32 = 0.1;
 /// Predicted rise that a patient takes away, cmH2O: an effort of 20, which the estimates of the lung contain as well.
-const EFFORT: f32 = 40.0;
+pub const EFFORT: f32 = 40.0;
 /// Time after which an open expiratory valve lets gas out, s: its lag of 15 ms, and the sensor's.
 const OPENED: f32 = 0.04;
 /// Time after an inspiration from which a pressure above PEEP is a baseline, not that of a lung which still empties, s.

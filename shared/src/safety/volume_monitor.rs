@@ -13,19 +13,19 @@ use crate::breath::period_s;
 use crate::settings::Settings;
 
 /// Breaths in a row with a tidal volume outside its limits that raise the alarm.
-const BREATHS: u32 = 3;
+pub const BREATHS: u32 = 3;
 /// Share of the leak's gas by which the volumes are in doubt: a leak is known to about so much of its size.
 const DOUBT: f32 = 0.03;
 /// Time over which the minute volume is averaged, s.
-const AVERAGED: f32 = 30.0;
+pub const AVERAGED: f32 = 30.0;
 /// Shorter time that a mean must cover after a change of the leak, if the settings have been in force for [`AVERAGED`], s.
-const RESTARTED: f32 = 10.0;
+pub const RESTARTED: f32 = 10.0;
 /// Smallest volume, in and out, of a breath that gets through, mL: less than a newborn's, and more than the noise of the flow sensor.
-const DELIVERED: f32 = 3.0;
+pub const DELIVERED: f32 = 3.0;
 /// Time without such a breath that is apnoea, s, and the breaths as set that it takes at least.
-const APNOEA: (f32, f32) = (20.0, 2.0);
+pub const APNOEA: (f32, f32) = (20.0, 2.0);
 /// Weight of the time in which gas goes one way only: the leak monitor needs some breaths to learn of a leak that has just opened.
-const ONE_WAY: f32 = 0.5;
+pub const ONE_WAY: f32 = 0.5;
 /// From mL/s to L/min.
 const LITRES_PER_MINUTE: f32 = 0.06;
 

@@ -1,6 +1,6 @@
 //! Whether an alarm was deserved: one function per kind, from the true state of the running breath and the two before it.
 //!
-//! Each uses the bound that the alarm's row of [`shared::safety::alarms::ALARMS`] names, with a tolerance: a sound machine
+//! Each uses the bound that SAFETY.md's table of alarms names, with a tolerance: a sound machine
 //! reads the pressure through a sensor with an offset, and its alarms must be judged by what they can know. Low-priority
 //! alarms are only counted.
 //!

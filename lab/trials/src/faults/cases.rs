@@ -24,7 +24,7 @@ const ABOVE_LIMIT: f64 = 20.0;
 /// Highest true pressure that the machine's relief valve, which opens at 70 cmH2O, allows at full flow, cmH2O.
 pub const RELIEF: f64 = 75.0;
 /// PIP of most trials, cmH2O.
-const PIP: f32 = 25.0;
+pub const PIP: f32 = 25.0;
 /// In the middle of the third inspiration, ms.
 const MID_INSPIRATION_MS: u32 = 6400;
 /// Just before the fourth inspiration, ms.

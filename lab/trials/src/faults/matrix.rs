@@ -25,7 +25,7 @@ pub const FAULTS: Stage = Stage("inject faults");
 /// Longest time from crossing the limit to the venting command, ms.
 pub const VENT_WITHIN_MS: u32 = 200;
 /// Longest time from the venting command to a pressure near PEEP if the valves obey, ms: two breaths.
-const BACK_WITHIN_MS: u32 = 2 * BREATH_MS;
+pub const BACK_WITHIN_MS: u32 = 2 * BREATH_MS;
 /// Number of breaths of a fault-free run.
 const NOMINAL_BREATHS: u32 = 10;
 

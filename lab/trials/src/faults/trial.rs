@@ -20,7 +20,7 @@ use plant::bench::{BenchConfig, BenchPlant, Failure};
 use ventilator::SourceError;
 
 /// Distance from PEEP at which the pressure counts as returned, cmH2O.
-const BACK: f64 = 2.0;
+pub const BACK: f64 = 2.0;
 
 /// Smallest share of a normal breath's volume that counts as a delivered breath.
 const DELIVERED: f64 = 0.25;

@@ -1,0 +1,329 @@
+//! The table of alarms: what the chip acts on, and the conditions that begin and end each alarm, with the
+//! numbers of the constants that act.
+
+use std::fmt::Write as _;
+
+use super::figures::{ms, number, percent};
+use shared::safety::alarms::{ALARMS, Fault, Priority};
+use shared::safety::expected::{ABOVE, AWAY};
+use shared::safety::host::SILENCE_MAX;
+use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES};
+use shared::safety::source::{
+    AGREE, AGREED_BREATHS, APART, DOUBTFUL, DOUBTFUL_BREATHS, FAR_APART, MOVED, SOUND_AGAIN,
+};
+use shared::safety::volumes::MEASURED;
+use shared::safety::{
+    breath_monitor as breath, expiration, lung_estimator as lung, pressure_monitor as pressure,
+};
+use shared::safety::{reading_monitor as reading, supervisor, volume_monitor as volume};
+
+/// An alarm, the condition that begins it and the event that ends it.
+type Conditions = (Fault, String, String);
+
+const GONE: &str = "the condition is gone";
+const ACKNOWLEDGED: &str = "an operator acknowledges, or the device restarts";
+
+/// The table, in the order of the alarms.
+pub fn table() -> String {
+    let mut table =
+        "| alarm | priority | action | entry | exit | text |\n|---|---|---|---|---|---|\n".to_owned();
+    let conditions = conditions();
+    for alarm in &ALARMS {
+        let priority = match alarm.priority {
+            Priority::Low => "low",
+            Priority::Medium => "medium",
+            Priority::High => "high",
+        };
+        let (id, action, text) = (alarm.id, alarm.action.name(), alarm.text);
+        let row = conditions.iter().find(|(fault, ..)| *fault == alarm.fault);
+        let (_, entry, exit) = row.unwrap_or_else(|| panic!("alarm_table.rs lacks the conditions of `{id}`"));
+        writeln!(table, "| `{id}` | {priority} | {action} | {entry} | {exit} | {text} |").unwrap();
+    }
+    table
+}
+
+fn conditions() -> Vec<Conditions> {
+    [sensors(), responses(), limits(), baselines(), inspirations(), ladder(), device(), gas(), volumes()]
+        .concat()
+}
+
+fn clean_breaths() -> String {
+    format!("one step up after {CLEAN_BREATHS} clean breaths (more after each return)")
+}
+
+/// What a single pressure sensor does.
+fn sensors() -> Vec<Conditions> {
+    let as_nan = "as `reading-nan`, with most missing readings";
+    let (lowest, highest) = reading::SENSOR_RANGE;
+    let entries = [
+        (
+            Fault::ReadingNotANumber,
+            format!(
+                "no number for {} ms, or more than {} % of the readings missing",
+                ms(reading::MISSING),
+                percent(1.0 / f64::from(1 + reading::MAKE_UP))
+            ),
+        ),
+        (
+            Fault::ReadingOutOfRange,
+            format!("{as_nan} outside {} to {} cmH2O", number(lowest), number(highest)),
+        ),
+        (
+            Fault::ReadingJumps,
+            format!("{as_nan} more than {} cmH2O per ms from the last good one", number(reading::JUMP_MAX)),
+        ),
+        (
+            Fault::ReadingFrozen,
+            format!(
+                "the same reading, to the last bit, for {} ms in which it must change: the other pressure \
+                 sensor moves by more than {} cmH2O, gas flows in more than {} below the target, or out \
+                 more than {} above PEEP",
+                ms(reading::FROZEN),
+                number(MOVED),
+                number(AWAY),
+                number(ABOVE)
+            ),
+        ),
+        (
+            Fault::OutletSensorLost,
+            "the outlet's pressure sensor fails one of the checks named `reading-`".to_owned(),
+        ),
+    ];
+    let sound = format!("the sensor is sound for {} s", number(SOUND_AGAIN));
+    entries.map(|(fault, entry)| (fault, entry, sound.clone())).to_vec()
+}
+
+/// Sensors that are noisy, disagree or do not respond.
+fn responses() -> Vec<Conditions> {
+    let noisy = format!(
+        "noise of more than {} cmH2O (standard deviation), averaged over about {} ms; the cap applies if \
+         the other pressure sensor is not sound",
+        number(reading::NOISE_MAX),
+        number(1.0 / reading::NOISE_SHARE)
+    );
+    let disagree = format!(
+        "the pressure sensors more than {} cmH2O apart for {} ms (the higher one counts), or more than {} \
+         at the end of {DOUBTFUL_BREATHS} expirations in a row (the one closer to PEEP counts)",
+        number(FAR_APART),
+        ms(APART),
+        number(DOUBTFUL)
+    );
+    let no_response = format!(
+        "for {} ms less than {} % of a predicted rise of more than {} cmH2O, or for {} ms no change over \
+         the last {} ms although such a rise is predicted; not if two pressure sensors agree, the gas \
+         reaches the patient, and the pressure is up, less than {} cmH2O are missing, or the lung has not \
+         been estimated from {} inspirations, at least one begun by the clock",
+        ms(lung::UNANSWERED),
+        percent(lung::ANSWER),
+        number(lung::TELLING_RISE),
+        ms(lung::STANDING),
+        lung::WINDOW,
+        number(supervisor::EFFORT),
+        lung::KNOWN
+    );
+    let backup = "no pressure sensor is sound, or none responds: the volume of the last good breaths is \
+                  delivered, or without a sound flow sensor their mean commands are repeated";
+    let agree = number(AGREE);
+    vec![
+        (Fault::ReadingNoisy, noisy, clean_breaths()),
+        (
+            Fault::SensorsDisagree,
+            disagree,
+            format!("less than {agree} cmH2O apart at the end of {AGREED_BREATHS} expirations in a row"),
+        ),
+        (
+            Fault::NoResponse,
+            no_response,
+            format!("{} inspirations in a row raise the pressure", supervisor::RESPONSES),
+        ),
+        (Fault::BackupVentilation, backup.to_owned(), "a pressure sensor is sound and responds".to_owned()),
+    ]
+}
+
+/// A pressure above its limits.
+fn limits() -> Vec<Conditions> {
+    let high = format!(
+        "{} breaths in a row end at the pressure limit, or one does so under the capped PID because of its \
+         gas",
+        supervisor::CUTS_MAX
+    );
+    let hard =
+        format!("{} s above the limit with the expiratory valve commanded open", number(pressure::VENTING));
+    let sustained = format!(
+        "more than {} cmH2O above PEEP for {} s, and with the expiratory valve commanded open a fall of \
+         less than {} % of that in {fall} s and in {fall} s after that, or less than {} % of the inspired \
+         volume coming out ({} % without the gas of a known leak)",
+        number(pressure::BACK_AT_PEEP),
+        number(pressure::SUSTAINED),
+        percent(pressure::FALLS),
+        percent(supervisor::BLOCKED),
+        percent(supervisor::BLOCKED_WITHOUT_LEAK),
+        fall = number(pressure::FALL),
+    );
+    vec![
+        (Fault::HighPressure, high, GONE.to_owned()),
+        (Fault::HardLimit, hard, ACKNOWLEDGED.to_owned()),
+        (Fault::SustainedPressure, sustained, ACKNOWLEDGED.to_owned()),
+    ]
+}
+
+/// The ends of expirations.
+fn baselines() -> Vec<Conditions> {
+    let high = format!(
+        "more than {} cmH2O above PEEP at the end of {} expirations in a row, or of {} if efforts end them \
+         early; then an expiration in which the pressure still falls lasts up to {} % of a breath longer, \
+         and PIP rises with a constant baseline, up to {} cmH2O below the limit",
+        number(breath::ABOVE_PEEP),
+        breath::HIGH_BREATHS,
+        breath::TRAPPED_BREATHS,
+        percent(1.0 / f64::from(expiration::LONGER)),
+        number(expiration::BELOW_LIMIT)
+    );
+    let low = format!(
+        "more than {} cmH2O below PEEP at the end of {} breaths in a row, none of them cut at the limit, or \
+         {} in a row with a command of more than {} % above the bias to hold PEEP, without an effort",
+        number(breath::BELOW_PEEP),
+        breath::LOW_BREATHS,
+        expiration::LEAKS,
+        number(expiration::HELD)
+    );
+    vec![(Fault::BaselineHigh, high, GONE.to_owned()), (Fault::BaselineLow, low, GONE.to_owned())]
+}
+
+/// Inspirations that do not fill the lung.
+fn inspirations() -> Vec<Conditions> {
+    let low = format!(
+        "less than {} % of the rise from PEEP to PIP, with a command above {} %, at the end of {} \
+         inspirations in a row",
+        percent(breath::REACHED),
+        number(breath::WIDE_OPEN),
+        breath::WEAK_BREATHS
+    );
+    let disconnection = format!(
+        "{} s of inspirations ({} s with a capped command) at less than {} % of PEEP and more than {} cmH2O \
+         below it, with a command above {} %; until the patient is back, the PID probes with a capped \
+         command",
+        number(breath::DISCONNECTED),
+        number(breath::SLOW_DISCONNECTED),
+        percent(breath::OPEN_END),
+        number(breath::BELOW_PEEP),
+        number(breath::FILLING)
+    );
+    let occlusion = format!(
+        "in {} breaths in a row less than {} % of the volume per pressure rise of the last good breaths, \
+         and less than {} % of the gas reaches the patient or comes out again; in {} breaths in a row if \
+         more does, but less than {} % comes out again",
+        breath::OCCLUDED_BREATHS,
+        percent(breath::OCCLUDED),
+        percent(breath::PASSES),
+        breath::NARROWED_BREATHS,
+        percent(breath::OPEN)
+    );
+    let back = "the pressure of an inspiration is above PEEP again";
+    vec![
+        (Fault::LowPressure, low, GONE.to_owned()),
+        (Fault::Disconnection, disconnection, back.to_owned()),
+        (Fault::Occlusion, occlusion, GONE.to_owned()),
+    ]
+}
+
+/// Steps down the ladder.
+fn ladder() -> Vec<Conditions> {
+    let missed = format!(
+        "{} control ticks missed within a breath (the PID controls from the first one on)",
+        supervisor::MISSED_MAX
+    );
+    let distrusted =
+        format!("{LEARNED_STRIKES} breaths in a row end at the pressure limit under the selected controller");
+    let capped = "a breath ends at the pressure limit under the PID".to_owned();
+    let steps = [
+        (Fault::MissedTicks, missed),
+        (Fault::LearnedDistrusted, distrusted),
+        (Fault::CommandCapped, capped),
+    ];
+    steps.map(|(fault, entry)| (fault, entry, clean_breaths())).to_vec()
+}
+
+/// The device and its host.
+fn device() -> Vec<Conditions> {
+    let silent = number(SILENCE_MAX);
+    let rows = [
+        (
+            Fault::HostSilent,
+            format!(
+                "{silent} s without a request while ventilating; ventilation continues, exploration ends"
+            ),
+            "the next request from a host",
+        ),
+        (
+            Fault::WeightsRefused,
+            "at start-up a slot holds torn or damaged weights; the other slot's weights or the PID run"
+                .to_owned(),
+            "valid weights are stored in that slot",
+        ),
+        (
+            Fault::Restarted,
+            "a reset by the watchdog or a supply dip, or any reset or power cut during ventilation; above \
+             is when it resumes"
+                .to_owned(),
+            "an operator acknowledges",
+        ),
+    ];
+    rows.map(|(fault, entry, exit)| (fault, entry, exit.to_owned())).to_vec()
+}
+
+/// Gas that is lost or does not move, and its sensor.
+fn gas() -> Vec<Conditions> {
+    let leak = format!(
+        "less than {} % of the inspired volume comes out in {} breaths in a row, or less than {} % if \
+         holding PEEP takes a command of more than {} % above the bias",
+        percent(expiration::OPEN),
+        expiration::LEAKS,
+        percent(expiration::TIGHT),
+        number(expiration::LEAK)
+    );
+    let (seconds, breaths) = volume::APNOEA;
+    let apnoea = format!(
+        "no breath of {} mL in and out for {} s, or for {} breaths if these take longer; time in which gas \
+         goes one way only counts {} %",
+        number(volume::DELIVERED),
+        number(seconds),
+        number(breaths),
+        percent(volume::ONE_WAY)
+    );
+    let lost = format!(
+        "no number in more than {} % of a breath's flow readings; volumes and leaks are not monitored until \
+         it is back",
+        percent(1.0 - MEASURED)
+    );
+    vec![
+        (Fault::Leak, leak, GONE.to_owned()),
+        (Fault::Apnoea, apnoea, "a breath of such a volume".to_owned()),
+        (Fault::FlowSensorLost, lost, "a breath with flow readings".to_owned()),
+    ]
+}
+
+/// Volumes outside their limits.
+fn volumes() -> Vec<Conditions> {
+    let tidal = |side: &str, limit: &str| {
+        let breaths = volume::BREATHS;
+        format!(
+            "an expired volume, and its mean with the inspired one, {side} `{limit}` in {breaths} \
+                 breaths in a row"
+        )
+    };
+    let minute = |side: &str, limit: &str| {
+        let (averaged, restarted) = (number(volume::AVERAGED), number(volume::RESTARTED));
+        format!(
+            "an expired minute volume {side} `{limit}`, averaged over {averaged} s, or over {restarted} s \
+             after the leak has changed"
+        )
+    };
+    let rows = [
+        (Fault::TidalVolumeLow, tidal("below", "tidal_volume_low")),
+        (Fault::TidalVolumeHigh, tidal("above", "tidal_volume_high")),
+        (Fault::MinuteVolumeLow, minute("below", "minute_volume_low")),
+        (Fault::MinuteVolumeHigh, minute("above", "minute_volume_high")),
+    ];
+    rows.map(|(fault, entry)| (fault, entry, GONE.to_owned())).to_vec()
+}

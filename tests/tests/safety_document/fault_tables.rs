@@ -1,0 +1,48 @@
+//! The fault matrix: a table for each hazard.
+
+use std::fmt::Write as _;
+
+use trials::faults::cases::{FaultCase, HAZARDS, LIMIT, Required};
+
+/// A table for each hazard, one row for each fault.
+pub fn tables() -> String {
+    let mut text = String::new();
+    for (hazard, cases) in HAZARDS {
+        writeln!(
+            text,
+            "\nHazard: {hazard}.\n\n\
+             | cause | monitor | response | ventilation that goes on | highest true pressure, cmH2O |\n\
+             |---|---|---|---|---:|"
+        )
+        .unwrap();
+        for case in cases {
+            let (monitors, responses) = reaction(case);
+            let (cause, ventilation, peak) = (case.name, ventilation(case), case.peak_allowed(LIMIT));
+            writeln!(text, "| {cause} | {monitors} | {responses} | {ventilation} | {peak:.0} |").unwrap();
+        }
+    }
+    text + "\n"
+}
+
+/// The monitors that must detect a fault, and the responses.
+fn reaction(case: &FaultCase) -> (String, String) {
+    if case.monitors.is_empty() {
+        return ("none needed".to_owned(), case.safeguard.to_owned());
+    }
+    let alarms: Vec<_> = case.monitors.iter().map(|monitor| monitor.alarm()).collect();
+    let ids: Vec<_> = alarms.iter().map(|alarm| format!("`{}`", alarm.id)).collect();
+    let mut responses: Vec<_> = alarms.iter().map(|alarm| alarm.action.name()).collect();
+    responses.dedup();
+    (ids.join(", "), responses.join(", "))
+}
+
+/// What ventilation a row requires.
+fn ventilation(case: &FaultCase) -> String {
+    let share = format!("{:.0} % of the volume", 100.0 * case.least_share);
+    let gap = f64::from(case.longest_gap_ms(LIMIT)) / 1000.0;
+    match case.ventilation {
+        Required::Impossible => "none is required".to_owned(),
+        Required::Stays => "none may start by itself".to_owned(),
+        Required::GoesOn | Required::Resumes => format!("{share}, a breath within {gap:.0} s"),
+    }
+}
