@@ -42,7 +42,7 @@ use cell::Word;
 pub use entry::{Activity, ChipEvent, Happening, LogEntry, TickEntry};
 use entry::{EVENT_HALVES, TICK_HALVES, variant};
 use ring::Ring;
-pub use writer::{Boot, LOG_INTERVAL, Moment, Recorder};
+pub use writer::{Boot, LOG_INTERVAL, Recorder, RecorderInput};
 
 /// Capacity of [`RecorderPart::Fast`], ticks.
 pub const FAST_ENTRIES: usize = 2000;

@@ -82,6 +82,17 @@ pub enum Priority {
     High,
 }
 
+impl Priority {
+    /// Its word in texts and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Low => "low",
+            Self::Medium => "medium",
+            Self::High => "high",
+        }
+    }
+}
+
 /// The ventilator's response to an alarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Action {

@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 
 use super::figures::{ms, number, percent};
-use shared::safety::alarms::{ALARMS, Fault, Priority};
+use shared::safety::alarms::{ALARMS, Fault};
 use shared::safety::expected::{ABOVE, AWAY};
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES};
@@ -29,11 +29,7 @@ pub fn table() -> String {
         "| alarm | priority | action | entry | exit | text |\n|---|---|---|---|---|---|\n".to_owned();
     let conditions = conditions();
     for alarm in &ALARMS {
-        let priority = match alarm.priority {
-            Priority::Low => "low",
-            Priority::Medium => "medium",
-            Priority::High => "high",
-        };
+        let priority = alarm.priority.name();
         let (id, action, text) = (alarm.id, alarm.action.name(), alarm.text);
         let row = conditions.iter().find(|(fault, ..)| *fault == alarm.fault);
         let (_, entry, exit) = row.unwrap_or_else(|| panic!("alarm_table.rs lacks the conditions of `{id}`"));

@@ -12,7 +12,7 @@ use shared::control::memory::{LEARNING, SURPRISE};
 use shared::device::REPEAT_TIME;
 use shared::device::absence::LONGEST_ABSENCE_S;
 use shared::device::prescription::RESUMES;
-use shared::link::messages::AUDIO_PAUSE_MAX;
+use shared::link::refusal::AUDIO_PAUSE_MAX;
 use shared::recorder::LOG_INTERVAL;
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS};
