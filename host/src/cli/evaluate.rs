@@ -97,7 +97,7 @@ pub struct Args {
 #[derive(Debug, Serialize)]
 #[serde(untagged)]
 pub enum Outcome {
-    Comparison(Summary),
+    Comparison(Box<Summary>),
     Breathing(BreathingSummary),
 }
 
@@ -257,7 +257,7 @@ impl Command for Args {
         print_account(context, policy.as_ref());
         print_cuts(&setup, &comparison, context);
         context.report(self.report.as_ref(), || report(self, &setup, &comparison))?;
-        Ok(Some(Outcome::Comparison(Summary {
+        Ok(Some(Outcome::Comparison(Box::new(Summary {
             seed: self.seed,
             lung: setup.bench.filter(|_| self.source.bench.bench.is_none()).map(|bench| bench.name),
             plant: self.source.plant.plant.as_ref().map(ToString::to_string),
@@ -271,7 +271,7 @@ impl Command for Args {
             breaths_of_learning: self.breaths_of_learning,
             policy,
             comparison,
-        })))
+        }))))
     }
 
     fn conclude(&self, outcome: Outcome, _context: &Context<'_>) -> anyhow::Result<()> {

@@ -61,7 +61,7 @@ struct LungArgs {
 #[derive(Debug, Serialize)]
 #[serde(untagged)]
 pub enum Outcome {
-    Device(connected::Found),
+    Device(Box<connected::Found>),
     Lungs(lung::Found),
 }
 
@@ -74,7 +74,7 @@ impl Command for Args {
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
         match (&self.port, &self.data) {
-            (Some(port), _) => connected::run(port, context).map(Outcome::Device),
+            (Some(port), _) => connected::run(port, context).map(Box::new).map(Outcome::Device),
             (None, Some(data)) => lung::run(data, &self.lung, context).map(Outcome::Lungs),
             (None, None) => anyhow::bail!("name a device with --port or a recording with --data"),
         }

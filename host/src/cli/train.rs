@@ -150,6 +150,24 @@ pub struct Summary {
     train_curve: Vec<CurvePoint>,
 }
 
+impl Summary {
+    /// Prints the scores, `on` what they are scored.
+    pub fn show(&self, on: &str, context: &Context<'_>) {
+        context.line(&format!(
+            "{on}: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
+            self.validation,
+            self.base,
+            self.controller.display()
+        ));
+        if !self.improved {
+            context.line("The residual did not beat its PID there, so the PID alone was kept.");
+        }
+        if !self.complete {
+            context.line("Stopped early: this is the controller so far. Run the command again to continue.");
+        }
+    }
+}
+
 /// Where a training writes its controller, and how it reports it.
 #[derive(Debug, clap::Args)]
 pub struct ResultArgs {
@@ -216,22 +234,6 @@ impl ResultArgs {
         let summary = self.saved(&trained.learned, trained.improved, trained.complete, context)?;
         Ok(Summary { train_curve: trained.curve, ..summary })
     }
-
-    /// Prints the scores, `on` what they are scored.
-    pub fn show(&self, on: &str, summary: &Summary, context: &Context<'_>) {
-        context.line(&format!(
-            "{on}: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
-            summary.validation,
-            summary.base,
-            summary.controller.display()
-        ));
-        if !summary.improved {
-            context.line("The residual did not beat its PID there, so the PID alone was kept.");
-        }
-        if !summary.complete {
-            context.line("Stopped early: this is the controller so far. Run the command again to continue.");
-        }
-    }
 }
 
 /// File name of the controller in the folder.
@@ -268,7 +270,7 @@ impl Command for Args {
                 trained.summary(scores)
             }
         };
-        result.show("held-out simulator", &summary, context);
+        summary.show("held-out simulator", context);
         Ok(Some(summary))
     }
 }

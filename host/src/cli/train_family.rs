@@ -67,7 +67,7 @@ impl Command for Args {
         let config = self.config(&family);
         let trained = context.progress(|progress| config.run(&family, Some(&folder), progress))?;
         let summary = self.result.once(trained, context)?;
-        self.result.show("validation units, geometric mean over the first breaths", &summary, context);
+        summary.show("validation units, geometric mean over the first breaths", context);
         Ok(Some(summary))
     }
 }

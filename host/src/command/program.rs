@@ -44,18 +44,15 @@ impl<C: Command> Runnable for C {
 
     fn run(&self, context: &Context<'_>) -> Done {
         let mut done = Done::default();
-        let failed = |error| Some(Failure { error, status: FAILURE });
-        done.failure = match Command::run(self, context) {
-            Err(error) => failed(error),
-            Ok(None) => None,
-            Ok(Some(outcome)) => match done.keep(&outcome, Command::output(self).json) {
-                Err(error) => failed(error),
-                Ok(()) => {
-                    let refused = self.conclude(outcome, context).err();
-                    refused.map(|error| Failure { error, status: C::REFUSED })
-                }
-            },
-        };
+        let failed = |status| move |error| Failure { error, status };
+        let outcome = Command::run(self, context).map_err(failed(FAILURE));
+        done.failure = outcome
+            .and_then(|outcome| {
+                let Some(outcome) = outcome else { return Ok(()) };
+                done.keep(&outcome, Command::output(self).json).map_err(failed(FAILURE))?;
+                self.conclude(outcome, context).map_err(failed(C::REFUSED))
+            })
+            .err();
         done
     }
 }

@@ -131,7 +131,7 @@ fn two_tasks_that_share_a_folder_run_each_piece_once_and_find_what_one_task_find
             let (work, folder) = (&work, &folder);
             let share = Share::new(index, 2).unwrap();
             scope.spawn(move || {
-                assert!(folder.run(work, pieces, share, &Options::default(), &Progress::silent()).unwrap())
+                assert!(folder.run(work, pieces, share, &Options::default(), &Progress::silent()).unwrap());
             });
         }
     });

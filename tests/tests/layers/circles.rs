@@ -52,12 +52,12 @@ fn reachable<'a>(uses: &Uses<'a>, from: &'a Path) -> BTreeSet<&'a Path> {
 }
 
 fn describe(uses: &Uses, circle: &BTreeSet<&Path>) -> String {
-    let mut text = format!("a circle of {} files:", circle.len());
+    let mut lines = vec![format!("a circle of {} files:", circle.len())];
     for file in circle {
         for (used, paths) in uses[file].iter().filter(|(used, _)| circle.contains(*used)) {
             let paths: Vec<&str> = paths.iter().map(String::as_str).collect();
-            text += &format!("\n    {} uses {}: {}", file.display(), used.display(), paths.join(", "));
+            lines.push(format!("    {} uses {}: {}", file.display(), used.display(), paths.join(", ")));
         }
     }
-    text
+    lines.join("\n")
 }

@@ -141,7 +141,10 @@ pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
     Ok(summarize(plan, &scores))
 }
 
-/// Runs all jobs on all threads until the task is stopped; returns the first error in the order of the jobs.
+/// Runs all jobs on all threads until the task is stopped.
+///
+/// # Errors
+/// The first one in the order of the jobs; [`SourceError::Stopped`] if stopped.
 pub fn side_by_side<T: Sync, R: Send>(
     jobs: &[T],
     task: &Task<'_>,
