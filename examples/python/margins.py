@@ -1,4 +1,4 @@
-"""Repeats the disk margins of `trainer margins --json` with python-control.
+"""Repeats the disk margins of `lab margins --json` with python-control.
 
   python3 margins.py margins.json
 

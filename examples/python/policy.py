@@ -4,9 +4,9 @@ The PI needs the standard library only; --onnx needs numpy and onnxruntime, --to
 
 Examples:
   python3 policy.py --port 7100 &
-  trainer evaluate --policy tcp:localhost:7100 --lung R20C20
-  trainer evaluate --policy 'pipe:python3 policy.py --gains 2,30'
-  trainer evaluate --policy 'pipe:python3 policy.py --onnx controller.onnx' --gains 6.5,265,0.13"""
+  lab evaluate --policy tcp:localhost:7100 --lung R20C20
+  lab evaluate --policy 'pipe:python3 policy.py --gains 2,30'
+  lab evaluate --policy 'pipe:python3 policy.py --onnx controller.onnx' --gains 6.5,265,0.13"""
 import argparse, math, socket, struct, sys, zlib
 
 VERSION, START, FRAME, DEFAULT_PERIOD_US = 1, 0xA6, 32, 1000

@@ -1,6 +1,6 @@
 """Opens what runs.py has written with MLflow and TensorBoard, and compares it with the records.
 
-  trainer runs out --json runs.json
+  lab runs out --json runs.json
   python3 runs.py out --mlflow mlruns --tensorboard events
   python3 runs_check.py runs.json mlruns events
 """

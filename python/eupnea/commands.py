@@ -149,7 +149,7 @@ def robust(controller: PathLike | None = None, *, policy: Policy | str | None = 
     Args:
         controller: As in `evaluate`.
         policy: As in `evaluate`.
-        options: Those of `trainer robust`, such as `family="adult"`, `plants=1000`, `subset=0`, `seed=1`.
+        options: Those of `lab robust`, such as `family="adult"`, `plants=1000`, `subset=0`, `seed=1`.
 
     Returns:
         Distribution of the scores over the plants, in cmH2O.
@@ -162,7 +162,7 @@ def bound(**options: Any) -> Result:
     """Compute a reference bound: the error of commands optimised on a fully known lung.
 
     Args:
-        options: Those of `trainer bound`, such as `lung="R20C20"`, `pips=(15, 35)`, `effort=2`.
+        options: Those of `lab bound`, such as `lung="R20C20"`, `pips=(15, 35)`, `effort=2`.
 
     Returns:
         Scores by lung and waveform, in cmH2O.
@@ -200,7 +200,7 @@ def test_table(**options: Any) -> Result:
     """Run the 21 pressure-control rows of ISO 80601-2-12.
 
     Args:
-        options: Those of `trainer test-table`, such as `seed=1`.
+        options: Those of `lab test-table`, such as `seed=1`.
 
     Returns:
         Scores by row, in cmH2O.

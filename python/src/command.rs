@@ -1,4 +1,4 @@
-//! Commands of the trainer, called from Python: the same arguments and the same results, bit for bit.
+//! Commands of `lab` and `trainer`, called from Python: the same arguments and the same results, bit for bit.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -7,8 +7,10 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use host::cli::Cli;
-use host::command::call::{self as trainer, CallError};
+use host::cli::Cli as Trainer;
+use host::command::Observer;
+use host::command::call::{self as command, CallError};
+use lab::cli::Cli as Lab;
 use progress::Event;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -33,7 +35,7 @@ pub fn call(py: Python<'_>, arguments: Vec<OsString>, progress: Option<Py<PyAny>
         let (news, stop) = (news.clone(), stop.clone());
         move || {
             let observer = |event: &Event<'_>| note(&news, event);
-            let _ = answer.send(trainer::call::<Cli>(&arguments, &observer, &stop));
+            let _ = answer.send(run(&arguments, &observer, &stop));
         }
     });
     worker.map_err(errors::runtime)?;
@@ -71,18 +73,27 @@ pub fn call(py: Python<'_>, arguments: Vec<OsString>, progress: Option<Py<PyAny>
 
 /// The help of a command, as the command line prints it.
 #[pyfunction]
-pub fn command_help(command: &str) -> PyResult<String> {
-    trainer::help::<Cli>(command).ok_or_else(|| unknown(command))
+pub fn command_help(name: &str) -> PyResult<String> {
+    command::help::<Lab>(name).or_else(|| command::help::<Trainer>(name)).ok_or_else(|| unknown(name))
 }
 
 /// The options of a command without their dashes, each with whether it is repeated for several values.
 #[pyfunction]
-pub fn command_options(command: &str) -> PyResult<BTreeMap<String, bool>> {
-    trainer::options::<Cli>(command).ok_or_else(|| unknown(command))
+pub fn command_options(name: &str) -> PyResult<BTreeMap<String, bool>> {
+    command::options::<Lab>(name).or_else(|| command::options::<Trainer>(name)).ok_or_else(|| unknown(name))
 }
 
-fn unknown(command: &str) -> PyErr {
-    PyValueError::new_err(format!("the trainer has no command {command}: see `trainer --help`"))
+/// Runs a command of the laboratory or, if it has none of that name, of the trainer.
+fn run(arguments: &[OsString], observer: &Observer, stop: &AtomicBool) -> Result<String, CallError> {
+    let name = arguments.first().and_then(|name| name.to_str()).unwrap_or_default();
+    match command::options::<Lab>(name) {
+        Some(_) => command::call::<Lab>(arguments, observer, stop),
+        None => command::call::<Trainer>(arguments, observer, stop),
+    }
+}
+
+fn unknown(name: &str) -> PyErr {
+    PyValueError::new_err(format!("there is no command {name}: see `trainer --help` and `lab --help`"))
 }
 
 /// Notes the latest progress of a stage.

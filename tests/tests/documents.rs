@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Top-level folders; a quoted word that starts with one of them is a path.
-const FOLDERS: [&str; 9] =
-    [".ci/", "docs/", "examples/", "firmware/", "fuzz/", "host/", "shared/", "tests/", "xtask/"];
+const FOLDERS: [&str; 10] =
+    [".ci/", "docs/", "examples/", "firmware/", "fuzz/", "host/", "lab/", "shared/", "tests/", "xtask/"];
 
 fn top() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")

@@ -17,13 +17,13 @@ pub fn faults(shell: &Shell) -> Result<()> {
         "torture --breaths 2000 --limit 70",
     ]
     .iter()
-    .try_for_each(|line| trainer.run(line, &[]))
+    .try_for_each(|line| trainer.lab(line, &[]))
 }
 
 /// Removes the monitors and responses one by one and requires that a row of the fault matrix fails each time, which proves
 /// that each one is needed. The first such row ends a search.
 pub fn mutate_monitors(shell: &Shell) -> Result<()> {
-    Trainer::build(shell)?.run("faults --mutate", &[]).context(
+    Trainer::build(shell)?.lab("faults --mutate", &[]).context(
         "a monitor or a response can be removed without a failing row of the fault matrix; the table above shows which one",
     )
 }

@@ -98,7 +98,7 @@ fn open_files(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()>
 /// Repeats the margins of a controller with python-control.
 fn repeat_margins(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
     let file = "target/python/margins.json";
-    trainer.run(&format!("margins --lung R20C20 --gains 3,30 --json {file}"), &[])?;
+    trainer.lab(&format!("margins --lung R20C20 --gains 3,30 --json {file}"), &[])?;
     cmd!(shell, "{python} {EXAMPLES}/margins.py {file}").quiet().run()?;
     Ok(())
 }
@@ -129,7 +129,7 @@ fn run_networks(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<(
     }
     cmd!(shell, "{python} {EXAMPLES}/onnx_check.py {files...}").quiet().run()?;
     let policy = format!("pipe:{} {EXAMPLES}/policy.py --onnx {folder}/3.onnx", python.display());
-    trainer.run("evaluate --policy POLICY --pips 20 --breaths 2", &[("POLICY", &policy)])
+    trainer.lab("evaluate --policy POLICY --pips 20 --breaths 2", &[("POLICY", &policy)])
 }
 
 /// Copies runs into `MLflow` and `TensorBoard`, twice, and compares what these programs then have with the records.
@@ -137,7 +137,7 @@ fn copy_runs(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> 
     let folder = "target/python/exports";
     // Runs of an earlier call would be there too.
     shell.remove_path(folder)?;
-    trainer.run(&format!("torture --breaths 60 --json {folder}/runs/torture.json"), &[])?;
+    trainer.lab(&format!("torture --breaths 60 --json {folder}/runs/torture.json"), &[])?;
     trainer.run(
         &format!(
             "train --rounds 1 --breaths 12 --epochs 5 --iterations 10 --batch 16 --out {folder}/runs/train"
@@ -146,7 +146,7 @@ fn copy_runs(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> 
     )?;
     let (store, events) = (format!("{folder}/mlruns"), format!("{folder}/events"));
     let listed = format!("{folder}/runs.json");
-    trainer.run(&format!("runs {folder}/runs --json {listed}"), &[])?;
+    trainer.lab(&format!("runs {folder}/runs --json {listed}"), &[])?;
     for _ in 0..2 {
         cmd!(shell, "{python} {EXAMPLES}/runs.py {folder}/runs --mlflow {store} --tensorboard {events}")
             .quiet()

@@ -1,4 +1,4 @@
-//! The trainer, built with the same packages and profile as the tests: another selection of packages would build its
+//! The programs `trainer` and `lab`, built with the same packages and profile as the tests: another selection of packages would build its
 //! dependencies again, and another profile everything.
 
 use std::path::{Path, PathBuf};
@@ -8,14 +8,14 @@ use xshell::{Shell, cmd};
 
 use crate::firmware::cargo_folder;
 
-/// A built trainer.
+/// The built programs.
 pub struct Trainer<'a> {
     shell: &'a Shell,
     program: PathBuf,
 }
 
 impl<'a> Trainer<'a> {
-    /// Builds the trainer, unless a test run has built it.
+    /// Builds the programs, unless a test run has built them.
     pub fn build(shell: &'a Shell) -> Result<Self> {
         cmd!(shell, "cargo test --quiet --workspace --exclude firmware --test command_line --no-run")
             .quiet()
@@ -23,14 +23,22 @@ impl<'a> Trainer<'a> {
         Ok(Self { shell, program: cargo_folder(shell).join("debug/trainer") })
     }
 
-    /// Its path.
+    /// Path of the trainer.
     pub fn program(&self) -> &Path {
         &self.program
     }
 
-    /// Runs a command line, split at spaces; `words` replaces placeholders by arguments that contain spaces.
+    /// Runs a command line of the trainer, split at spaces; `words` replaces placeholders by arguments that contain spaces.
     pub fn run(&self, line: &str, words: &[(&str, &str)]) -> Result<()> {
-        let program = &self.program;
+        self.run_program(&self.program, line, words)
+    }
+
+    /// Runs a command line of the laboratory like [`Self::run`].
+    pub fn lab(&self, line: &str, words: &[(&str, &str)]) -> Result<()> {
+        self.run_program(&self.program.with_file_name("lab"), line, words)
+    }
+
+    fn run_program(&self, program: &Path, line: &str, words: &[(&str, &str)]) -> Result<()> {
         let arguments = line
             .split_whitespace()
             .map(|word| words.iter().find(|(name, _)| *name == word).map_or(word, |(_, long)| *long));

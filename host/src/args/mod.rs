@@ -5,7 +5,6 @@ pub mod controller;
 pub mod gains;
 pub mod key;
 pub mod plant;
-pub mod policy;
 pub mod port;
 pub mod preset;
 pub mod settings;

@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 
 use crate::command::{Context, Makes};
 
-/// Dividing the work among tasks; `trainer submit` does it with an engine.
+/// Dividing the work among tasks; `lab submit` does it with an engine.
 #[derive(Debug, clap::Args)]
 pub struct ShardArgs {
     /// Run shard i of n and keep it in --out. i counts from 0 or from 1; 0 and n are the same. auto/n takes i from the engine's task

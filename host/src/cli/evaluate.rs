@@ -1,5 +1,6 @@
-//! `trainer evaluate`: scores a controller; compares a learned one or a rival with its PID.
+//! `trainer evaluate`: scores a controller; compares a learned one with its PID. Another program may offer further controllers.
 
+use std::fmt::Debug;
 use std::path::PathBuf;
 
 use anyhow::bail;
@@ -11,60 +12,95 @@ use super::breathing::{Summary as BreathingSummary, table as breathing_table};
 use super::comparison::table;
 use crate::args::controller::{Chosen, ControllerArgs};
 use crate::args::gains::{format_gains, gains};
-use crate::args::policy::{PolicyArgs, account, check, print as print_account};
 use crate::args::port::source as device_source;
 use crate::args::settings::SettingsArgs;
 use crate::args::source::SourceArgs;
 use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use data::provenance::Provenance;
-use laws::policy::PolicyLaw;
-use laws::policy::account::Account;
-use laws::rivals::DeviceGround;
 use plant::bench::BenchConfig;
 use score::breathing::breathing;
-use score::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace_source_after};
+use score::evaluate::{
+    BreathTrace, Comparison, DeviceGround, Ground, Plan, SourceGround, compare, trace_source_after,
+};
 use show::report::{Block, Plot, Report, Section, Series, Style, Table};
 use ventilator::law::AnyLaw;
 use ventilator::{BenchSource, PlantSource, SharedLink};
 
-/// Compare controllers on any bench, device or plant, under the same sensor noise
-#[derive(Debug, clap::Args)]
-#[command(after_help = "\
+/// How the controller to evaluate is chosen.
+pub trait Choice: clap::Args + Debug {
+    /// What is known of the controller after its breaths.
+    type Account: Serialize;
+
+    /// What the help says below the options.
+    const HELP: &'static str;
+    /// Options that exclude breathing patients.
+    const NOT_WHILE_BREATHING: &'static [&'static str];
+
+    /// The chosen controller, built for `plant` if there is one.
+    ///
+    /// # Errors
+    /// Arguments that make no controller, or none for this plant.
+    fn chosen(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen>;
+
+    /// Whether its ventilations run one after the other, and go on after the pressure limit has ended a breath.
+    fn takes_turns(&self) -> bool {
+        false
+    }
+
+    /// Prints and returns the account of the controller, if it has one.
+    fn account(&self, _chosen: &Chosen, _context: &Context<'_>) -> Option<Self::Account> {
+        None
+    }
+
+    /// Refuses a controller by its account.
+    ///
+    /// # Errors
+    /// A controller whose scores are not its own.
+    fn check(_account: Option<&Self::Account>) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
+impl Choice for ControllerArgs {
+    type Account = ();
+
+    const HELP: &'static str = "\
 Examples:
   trainer evaluate --gains 2,30,0.01 --lung R5C50
   trainer evaluate --controller controller.safetensors --lung R20C20 --report evaluation.html
   trainer evaluate --controller controller.safetensors --lung paper --breathing
   trainer evaluate --weights weights.bin --port tcp:localhost:5555
   trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
-  trainer evaluate --policy tcp:localhost:7100 --gains 6,250,0.15 --lung R5C50
-  trainer evaluate --policy 'pipe:python3 examples/python/policy.py --onnx policy.onnx'
   trainer evaluate --controller controller.safetensors --lung R5C50 --breaths-of-learning 20
-  trainer evaluate --controller iterative --against 6,250,0.15 --lung R5C50 --breaths-of-learning 20
   trainer evaluate --lung neonate-iso-14 --pips 35 --rate 30 --inspiratory-time 0.6
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
 
 The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
 from the true airway pressure; with --plant from the true pressure if the plant reports it; with
 --port from the measured pressure. The last two columns are the valve effort over the plateau:
-total variation and standard deviation of the command. A learned controller or a rival is compared
-with the PID underneath it, or with --against. On a device (--port), weights that are not running
-yet are uploaded first.
-
-With --policy, a controller of your own, in any language, commands the valve over the policy link
-(docs/POLICY_LINK.md), behind the same safety envelope as a learned controller. If it fails, the PID
-goes on; the result names the failure and the share of the ticks that each commanded. The exit code
-is 1 if the policy commanded none.
+total variation and standard deviation of the command. A learned controller is compared with the
+PID underneath it, or with --against. On a device (--port), weights that are not running yet are
+uploaded first. `lab evaluate` does the same with rivals and with controllers of your own.
 
 With --breathing, patients with efforts of 3, 6 and 10 cmH2O, at 0.7, 0.9 and 1.2 times the set
 rate, take the place of the bench's own. Scores are those of breaths without efforts (passive), of
 breaths of these patients that the clock starts (timed) and of those that an effort starts
-(triggered).")]
-pub struct Args {
+(triggered).";
+
+    const NOT_WHILE_BREATHING: &'static [&'static str] = &["port", "plant", "report"];
+
+    fn chosen(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
+        Self::chosen(self, plant)
+    }
+}
+
+/// Compare controllers on any bench, device or plant, under the same sensor noise
+#[derive(Debug, clap::Args)]
+#[command(after_help = C::HELP)]
+pub struct Args<C: Choice> {
     #[command(flatten)]
-    controller: ControllerArgs,
-    #[command(flatten)]
-    policy: PolicyArgs,
-    /// Gains P,I,D of the PID to compare a learned controller or a rival with [default: the PID underneath it]
+    choice: C,
+    /// Gains P,I,D of the PID to compare the controller with [default: the PID underneath it]
     #[arg(long, value_name = "P,I,D", value_parser = gains, conflicts_with = "gains")]
     against: Option<PidGains>,
     #[command(flatten)]
@@ -84,7 +120,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Score breaths that efforts trigger beside those that the clock starts, on breathing patients of the chosen lungs
-    #[arg(long, conflicts_with_all = ["port", "plant", "report", "policy"])]
+    #[arg(long, conflicts_with_all = C::NOT_WHILE_BREATHING.iter().copied())]
     breathing: bool,
     /// Write figures and curves to an HTML report
     #[arg(long, value_name = "FILE.html")]
@@ -96,14 +132,16 @@ pub struct Args {
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
 #[serde(untagged)]
-pub enum Outcome {
-    Comparison(Box<Summary>),
+pub enum Outcome<A> {
+    /// Waveform by waveform.
+    Comparison(Box<Summary<A>>),
+    /// On breathing patients.
     Breathing(BreathingSummary),
 }
 
 /// A comparison.
 #[derive(Debug, Serialize)]
-pub struct Summary {
+pub struct Summary<A> {
     seed: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     lung: Option<String>,
@@ -120,7 +158,7 @@ pub struct Summary {
     breaths: usize,
     breaths_of_learning: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
-    policy: Option<Account>,
+    policy: Option<A>,
     #[serde(flatten)]
     comparison: Comparison,
 }
@@ -134,16 +172,15 @@ struct Setup {
     pressure: &'static str,
     pid: AnyLaw,
     chosen: Chosen,
+    /// See [`Choice::takes_turns`].
+    takes_turns: bool,
     plan: Plan,
 }
 
-impl Args {
+impl<C: Choice> Args<C> {
     /// The controller and the breaths of its evaluation.
     fn chosen_and_plan(&self, plant: Option<&SharedLink>) -> anyhow::Result<(Chosen, Plan)> {
-        let chosen = match self.policy.connect()? {
-            Some(policy) => self.controller.chosen_with(policy, plant)?,
-            None => self.controller.chosen(plant)?,
-        };
+        let chosen = self.choice.chosen(plant)?;
         let plan = Plan {
             period_us: chosen.period_us,
             pips: self.pips.clone(),
@@ -157,7 +194,7 @@ impl Args {
 }
 
 impl Setup {
-    fn new(args: &Args) -> anyhow::Result<Self> {
+    fn new(args: &Args<impl Choice>) -> anyhow::Result<Self> {
         let plant = args.source.plant.connect()?;
         let (chosen, plan) = args.chosen_and_plan(plant.as_ref())?;
         let gains = args.against.unwrap_or(chosen.gains());
@@ -166,7 +203,7 @@ impl Setup {
             (None, Some(_)) => "airway pressure, the true one if the plant reports it",
             (None, None) => "true airway pressure, known only to the bench",
         };
-        let policy = args.policy.policy.is_some();
+        let takes_turns = args.choice.takes_turns();
         let mut bench = None;
         let ground: Box<dyn Ground<AnyLaw>> = match (&args.source.port.port, plant) {
             (Some(address), _) => {
@@ -177,29 +214,33 @@ impl Setup {
             (None, Some(link)) => {
                 let controller = chosen.controller.clone();
                 let source = PlantSource::new(link, controller, chosen.period_us, plan.seeds[0]);
-                Box::new(SourceGround::new(if policy { source.going_on() } else { source }))
+                Box::new(SourceGround::new(if takes_turns { source.going_on() } else { source }))
             }
             (None, None) => {
                 let bench = bench.insert(args.source.bench.one()?);
-                if policy { one_after_the_other(bench, &chosen, &plan)? } else { Box::new(bench.clone()) }
+                if takes_turns {
+                    one_after_the_other(bench, &chosen, &plan)?
+                } else {
+                    Box::new(bench.clone())
+                }
             }
         };
         let pid = Chosen::pid(gains, chosen.period_us)?.controller;
-        Ok(Self { ground, bench, pressure, pid, chosen, plan })
+        Ok(Self { ground, bench, pressure, pid, chosen, takes_turns, plan })
     }
 
     /// The controller to compare with the PID, with its name for output; none if the PID alone is scored.
     fn beside(&self) -> Option<(&str, &AnyLaw)> {
-        Some((self.chosen.beside_pid()?, &self.chosen.controller))
+        Some((self.chosen.beside_pid.as_deref()?, &self.chosen.controller))
     }
 
     /// The table of a comparison.
     fn table(&self, comparison: &Comparison, title: &str) -> Table {
-        table(comparison, self.chosen.beside_pid().unwrap_or_default(), title)
+        table(comparison, self.chosen.beside_pid.as_deref().unwrap_or_default(), title)
     }
 }
 
-/// The bench for a policy, on which breaths run one after the other, and go on after the pressure limit has ended one.
+/// The bench on which breaths run one after the other, and go on after the pressure limit has ended one.
 fn one_after_the_other(
     bench: &BenchConfig,
     chosen: &Chosen,
@@ -215,7 +256,7 @@ fn one_after_the_other(
 fn print_cuts(setup: &Setup, comparison: &Comparison, context: &Context<'_>) {
     let pair = &comparison.mean;
     let controllers =
-        [("PID", Some(pair.pid)), (setup.chosen.beside_pid().unwrap_or_default(), pair.learned)];
+        [("PID", Some(pair.pid)), (setup.chosen.beside_pid.as_deref().unwrap_or_default(), pair.learned)];
     for (name, score) in controllers {
         if let Some(score) = score.filter(|score| score.cut > 0.0) {
             let share = 100.0 * score.cut;
@@ -224,14 +265,14 @@ fn print_cuts(setup: &Setup, comparison: &Comparison, context: &Context<'_>) {
     }
 }
 
-impl Command for Args {
-    type Outcome = Outcome;
+impl<C: Choice> Command for Args<C> {
+    type Outcome = Outcome<C::Account>;
 
     fn output(&self) -> Output<'_> {
         self.output.makes(Makes::Experiment)
     }
 
-    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
+    fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Self::Outcome>> {
         if self.breathing {
             return Ok(Some(Outcome::Breathing(run_breathing(self, context)?)));
         }
@@ -253,8 +294,7 @@ impl Command for Args {
         if context.stopped() {
             context.line("stopped: only the completed waveforms are shown");
         }
-        let policy = account(&setup.chosen.controller);
-        print_account(context, policy.as_ref());
+        let policy = self.choice.account(&setup.chosen, context);
         print_cuts(&setup, &comparison, context);
         context.report(self.report.as_ref(), || report(self, &setup, &comparison))?;
         Ok(Some(Outcome::Comparison(Box::new(Summary {
@@ -274,20 +314,20 @@ impl Command for Args {
         }))))
     }
 
-    fn conclude(&self, outcome: Outcome, _context: &Context<'_>) -> anyhow::Result<()> {
+    fn conclude(&self, outcome: Self::Outcome, _context: &Context<'_>) -> anyhow::Result<()> {
         match outcome {
-            Outcome::Comparison(summary) => check(summary.policy.as_ref()),
+            Outcome::Comparison(summary) => C::check(summary.policy.as_ref()),
             Outcome::Breathing(_) => Ok(()),
         }
     }
 }
 
 /// Triggered and timed breaths of breathing patients.
-fn run_breathing(args: &Args, context: &Context<'_>) -> anyhow::Result<BreathingSummary> {
+fn run_breathing(args: &Args<impl Choice>, context: &Context<'_>) -> anyhow::Result<BreathingSummary> {
     let (chosen, plan) = args.chosen_and_plan(None)?;
     let pid = Chosen::pid(args.against.unwrap_or(chosen.gains()), chosen.period_us)?.controller;
     let mut controllers = vec![("PID".to_owned(), &pid)];
-    controllers.extend(chosen.beside_pid().map(|name| (name.to_owned(), &chosen.controller)));
+    controllers.extend(chosen.beside_pid.clone().map(|name| (name, &chosen.controller)));
     let (names, controllers): (Vec<_>, Vec<_>) = controllers.into_iter().unzip();
     let benches = args.source.bench.benches()?;
     let breathing = context.progress(|progress| breathing(&benches, &controllers, &plan, progress))?;
@@ -311,7 +351,7 @@ fn run_breathing(args: &Args, context: &Context<'_>) -> anyhow::Result<Breathing
     })
 }
 
-fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result<Report> {
+fn report(args: &Args<impl Choice>, setup: &Setup, comparison: &Comparison) -> anyhow::Result<Report> {
     let mut sections = vec![Section {
         heading: "Figures".into(),
         text: format!(
@@ -349,8 +389,7 @@ fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Sectio
     let settings = setup.plan.waveform(pip);
     let run = |law: &AnyLaw| {
         let source = BenchSource::new(bench, law.clone(), &settings, *period_us, seeds[0])?;
-        let goes_on = setup.chosen.controller.downcast::<PolicyLaw>().is_some();
-        let mut source = if goes_on { source.going_on() } else { source };
+        let mut source = if setup.takes_turns { source.going_on() } else { source };
         trace_source_after(*warm_up, &mut source, &settings, 1)
     };
     let mut traces = vec![("PID", run(&setup.pid)?)];

@@ -4,17 +4,14 @@
 //! is in the library.
 
 mod blackbox;
-mod bound;
 mod breathing;
 mod collect;
 mod commission;
 mod comparison;
 mod demo;
-mod endure;
-mod evaluate;
+pub mod evaluate;
 mod export;
 mod farm;
-mod faults;
 mod fit;
 mod flash;
 mod identify;
@@ -22,30 +19,21 @@ mod import;
 mod inspect;
 mod judge;
 mod keys;
-mod margins;
 mod monitor;
 mod pack;
 #[cfg(unix)]
 mod qemu;
-mod reproduce;
-mod robust;
-mod runs;
 mod self_test;
 mod serve;
-#[cfg(unix)]
-mod submit;
-mod sweep;
-mod test_table;
 #[cfg(test)]
 mod tests;
-mod torture;
 mod train;
 mod train_family;
 mod tune_pid;
-mod tune_rival;
 
 use clap::Parser;
 
+use crate::args::controller::ControllerArgs;
 use crate::command::{Program, Runnable};
 
 /// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, pack.
@@ -70,15 +58,12 @@ commands! {
         Demo(demo::Args),
         Collect(collect::Args),
         TunePid(tune_pid::Args),
-        TuneRival(tune_rival::Args),
-        Bound(bound::Args),
         Fit(fit::Args),
         Train(train::Args),
         TrainFamily(train_family::Args),
         Commission(commission::Args),
         Farm(farm::Args),
-        Evaluate(evaluate::Args),
-        Reproduce(reproduce::Args),
+        Evaluate(evaluate::Args<ControllerArgs>),
         Pack(pack::Args),
         Export(export::Args),
         Keys(keys::Args),
@@ -91,16 +76,6 @@ commands! {
         Identify(identify::Args),
         Monitor(monitor::Args),
         Serve(serve::Args),
-        Faults(faults::Args),
-        Torture(torture::Args),
-        Endure(endure::Args),
-        Robust(robust::Args),
-        #[cfg(unix)]
-        Submit(submit::Args),
-        Sweep(sweep::Args),
-        Runs(runs::Args),
-        Margins(margins::Args),
-        TestTable(test_table::Args),
         Selftest(self_test::Args),
         Blackbox(blackbox::Args),
     }

@@ -16,7 +16,7 @@ Examples:
   trainer train-family --out out/adult                                       (the shipped adult)
   trainer train-family --family neonate --ripple 0.4 --out out/neonate       (the shipped neonate)
   trainer train-family --family my-machines.toml --units 32 --iterations 3000 --out out/mine
-  trainer robust --controller out/adult/controller.safetensors
+  lab robust --controller out/adult/controller.safetensors
 
 The command records some units of the family with the known-good PID, fits a physical simulator to
 each, draws thousands of units around them, and trains on those over consecutive breaths: the

@@ -46,7 +46,7 @@ fn what_cannot_be_exported_is_refused() {
     assert!(told.contains("omit it"), "{told}");
     assert!(place.refused(&format!("export {data} --out a.onnx")).contains("not a valid"));
     assert!(place.refused("export missing.safetensors --out a.onnx").contains("missing.safetensors"));
-    assert!(place.refused("export iterative --out a.onnx").contains("runs on the host only"));
+    assert!(place.refused("export iterative --out a.onnx").contains("there is no controller iterative"));
     place.ok(&format!("fit --data {data} --epochs 3 --out a.safetensors"));
     let told = place.refused("export a.safetensors --out a.onnx --unit 1");
     assert!(told.contains("it has 1, numbered from 0"), "{told}");

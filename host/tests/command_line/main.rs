@@ -6,7 +6,6 @@ mod bedside;
 #[cfg(unix)]
 mod blackbox;
 mod commission;
-mod endure;
 mod export;
 mod farm;
 mod formats;
@@ -14,18 +13,18 @@ mod help;
 mod interrupted;
 mod judge;
 mod keys;
-mod margins;
 mod pipeline;
 mod plant;
-mod policy;
 mod python;
 mod recordings;
-mod rivals;
-mod robust;
-mod runs;
 #[cfg(unix)]
 mod serve;
-mod shards;
 #[expect(dead_code, reason = "the tests on engines use the rest")]
 mod support;
-mod test_table;
+
+use std::path::PathBuf;
+
+/// The program of every command line.
+fn program_of(_line: &str) -> PathBuf {
+    env!("CARGO_BIN_EXE_trainer").into()
+}

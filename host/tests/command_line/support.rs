@@ -1,7 +1,9 @@
-//! Runs the program in its own folder.
+//! Runs a program in a folder of its own. Which one a command line is for, the test program says (`program_of`).
 
+use std::ffi::OsStr;
+use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use learn::controller::learned::{Learned, Origin};
 use shared::control::features::FeatureSpec;
@@ -32,17 +34,37 @@ impl Place {
     }
 
     /// Any program.
-    pub fn program(&self, program: &str) -> Command {
+    pub fn program(&self, program: impl AsRef<OsStr>) -> Command {
         let mut command = Command::new(program);
         command.current_dir(self.folder.path()).envs(self.variable.clone());
         command
     }
 
-    /// The program with arguments separated by blanks.
+    /// The program of a command with arguments separated by blanks.
     pub fn command(&self, line: &str) -> Command {
-        let mut command = self.program(env!("CARGO_BIN_EXE_trainer"));
+        let mut command = self.program(&crate::program_of(line));
         command.args(line.split_whitespace()).env_remove("EUPNEA_LOG").env("COLUMNS", "100");
         command
+    }
+
+    /// Starts a command that would take hours, presses Ctrl-C at its first logged progress, and waits for the end.
+    pub fn interrupt(&self, line: &str) -> Output {
+        let mut command = self.command(line);
+        command.env("EUPNEA_LOG", "debug");
+        let mut child =
+            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut log = BufReader::new(child.stderr.take().unwrap());
+        let mut stderr = Vec::new();
+        log.read_until(b'\n', &mut stderr).unwrap();
+        let id = child.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        // Read in parallel with standard output: a full pipe without a reader would block the program.
+        let log = std::thread::spawn(move || {
+            log.read_to_end(&mut stderr).unwrap();
+            stderr
+        });
+        let output = child.wait_with_output().unwrap();
+        Output { stderr: log.join().unwrap(), ..output }
     }
 
     pub fn run(&self, line: &str) -> Output {
@@ -103,6 +125,9 @@ impl Place {
         "controller.safetensors"
     }
 }
+
+/// Exit code of a command that Ctrl-C ended.
+pub const INTERRUPTED: Option<i32> = Some(130);
 
 /// Output as text.
 pub fn text(bytes: &[u8]) -> String {

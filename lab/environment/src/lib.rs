@@ -3,7 +3,7 @@
 //! An [`Environment`] runs *episodes*: one or more breaths of one plant. The agent commands the inspiratory valve during each
 //! inspiration; the ventilator does the rest, with the same code as on the chip. [`Batch`] runs many environments side by
 //! side. Episode `n` of a seed has the same plant, waveform and sensor noise wherever it runs: alone, in a batch, on any number of
-//! threads, and on plant `n` of `trainer robust` with that seed.
+//! threads, and on plant `n` of `lab robust` with that seed.
 //!
 //! ```
 //! # use environment::{Environment, Task, TaskConfig};

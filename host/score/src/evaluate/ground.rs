@@ -6,7 +6,8 @@ use plant::bench::BenchConfig;
 use plant::link::PlantError;
 use progress::Progress;
 use shared::control::{ControlLaw, Controller};
-use ventilator::Reseed;
+use ventilator::law::AnyLaw;
+use ventilator::{Reseed, SourceError};
 
 use super::{Evaluated, Plan, evaluate_law, evaluate_source};
 
@@ -58,5 +59,23 @@ impl<C: Clone> Ground<C> for SourceGround<C> {
             return Err(PlantError::other_period(plan.period_us, own).into());
         }
         evaluate_source(source.as_mut(), controller, plan, progress)
+    }
+}
+
+/// A device to evaluate on: it runs its own controllers and refuses all other laws.
+pub struct DeviceGround(pub SourceGround);
+
+impl Ground<AnyLaw> for DeviceGround {
+    fn name(&self) -> String {
+        self.0.name()
+    }
+
+    fn evaluate(&self, law: &AnyLaw, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
+        match law.chip() {
+            Some(controller) => self.0.evaluate(controller, plan, progress),
+            None => {
+                Err(SourceError::Controller("a device runs PIDs and learned controllers only".to_owned()))
+            }
+        }
     }
 }

@@ -14,7 +14,7 @@ mod trace;
 
 pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
 pub use effort::ValveEffort;
-pub use ground::{Ground, SourceGround};
+pub use ground::{DeviceGround, Ground, SourceGround};
 pub use score::{InspirationRecord, PLATEAU_S, Score, plateau_tolerance, score_breath, valve_effort};
 pub use trace::{BreathTrace, trace, trace_after, trace_source, trace_source_after};
 

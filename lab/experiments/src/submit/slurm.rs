@@ -204,7 +204,8 @@ mod tests {
         };
         let slurm = Slurm { options: vec!["--partition=short".to_owned()], retries: 0 };
         let script = slurm.array_script(&job, &[3, 17]);
-        let command = "exec /opt/trainer torture --breaths 6000 --out '/data/my run' --shard \"$SLURM_ARRAY_TASK_ID\"/40\n";
+        let command =
+            "exec /opt/lab torture --breaths 6000 --out '/data/my run' --shard \"$SLURM_ARRAY_TASK_ID\"/40\n";
         assert!(script.starts_with("#!/bin/sh\n") && script.ends_with(command), "{script}");
         for option in ["--array=3,17", "--output='/data/my run/log/%a.txt'", "--requeue", "--partition=short"]
         {
@@ -212,7 +213,7 @@ mod tests {
         }
         let merge = slurm.merge_script(&job);
         assert!(
-            merge.contains("\n/opt/trainer torture --breaths 6000 --out '/data/my run' --merge\n"),
+            merge.contains("\n/opt/lab torture --breaths 6000 --out '/data/my run' --merge\n"),
             "{merge}"
         );
     }

@@ -23,7 +23,7 @@ use super::machine::Machine;
 use super::parameter::{self, GAIN_D, GAIN_I, GAIN_P, Parameter, RivalError};
 use ventilator::law::Law;
 
-/// Parameters in the order of [`FeedForward::new`]. The values are those that `trainer tune-rival feed-forward` had found for
+/// Parameters in the order of [`FeedForward::new`]. The values are those that `lab tune-rival feed-forward` had found for
 /// the family `adult` when it was stopped after 585 points scored in full.
 pub(super) const PARAMETERS: [Parameter; 6] = [
     Parameter { coarse: &[1.0, 2.5, 5.0], tuned: 4.21875, ..GAIN_P },

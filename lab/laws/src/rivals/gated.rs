@@ -24,7 +24,7 @@ use ventilator::law::Law;
 /// Name of the learned controller that breathes.
 const LEARNED: &str = "adult";
 
-/// Parameters in the order of [`Gated::new`]. `trainer tune-rival gated` for the family `adult` ends with a gain of 0.8 and a lead of
+/// Parameters in the order of [`Gated::new`]. `lab tune-rival gated` for the family `adult` ends with a gain of 0.8 and a lead of
 /// 52.5 ms. On 200 other plants these values have 0.2 % less error in the first 20 breaths, and they correct more on a slow valve.
 pub(super) const PARAMETERS: [Parameter; 4] = [
     Parameter { coarse: &[0.4, 0.8, 1.6], tuned: 1.6, ..feed_learning::GAIN },

@@ -1,7 +1,7 @@
 //! Iterative learning control over a PID.
 //!
 //! Breaths repeat, so the error of one breath tells what the next one needs: each undisturbed breath corrects the feed-forward by the
-//! rule of [`super::feed_learning`]. `trainer margins --learning` certifies the rule. A soft PID
+//! rule of [`super::feed_learning`]. `lab margins --learning` certifies the rule. A soft PID
 //! allows a high learning gain; over a stiff one a high gain rings unless the smoothing is wide. The tuned values are of the second
 //! kind.
 
@@ -14,7 +14,7 @@ use super::parameter::{self, GAIN_D, GAIN_I, GAIN_P, Parameter, RivalError};
 use margins::iteration::LearningFilter;
 use ventilator::law::Law;
 
-/// Parameters in the order of [`Iterative::new`]. The values are those that `trainer tune-rival iterative` had found for the
+/// Parameters in the order of [`Iterative::new`]. The values are those that `lab tune-rival iterative` had found for the
 /// family `adult` when it was stopped after 403 points scored in full.
 pub(super) const PARAMETERS: [Parameter; 6] = [
     Parameter { coarse: &[1.0, 2.5, 5.0], tuned: 4.375, ..GAIN_P },

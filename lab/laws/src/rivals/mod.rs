@@ -20,9 +20,6 @@ pub mod tuning;
 pub mod variable_gain;
 
 use margins::iteration::LearningFilter;
-use progress::Progress;
-use score::evaluate::{Evaluated, Ground, Plan, SourceGround};
-use ventilator::SourceError;
 use ventilator::law::AnyLaw;
 
 use feed_forward::FeedForward;
@@ -114,22 +111,4 @@ impl Rival {
 pub fn learning(law: &AnyLaw) -> Option<LearningFilter> {
     let iterative = law.downcast().map(Iterative::filter);
     iterative.or_else(|| law.downcast().map(Gated::filter))
-}
-
-/// A device to evaluate on: it runs its own controllers and refuses the rivals.
-pub struct DeviceGround(pub SourceGround);
-
-impl Ground<AnyLaw> for DeviceGround {
-    fn name(&self) -> String {
-        self.0.name()
-    }
-
-    fn evaluate(&self, law: &AnyLaw, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
-        match law.chip() {
-            Some(controller) => self.0.evaluate(controller, plan, progress),
-            None => {
-                Err(SourceError::Controller("a device runs PIDs and learned controllers only".to_owned()))
-            }
-        }
-    }
 }

@@ -14,7 +14,7 @@ use shared::control::{ControlLaw, ControlOutput, Observation};
 use super::parameter::{self, GAIN_D, GAIN_I, GAIN_P, Parameter, RivalError};
 use ventilator::law::Law;
 
-/// Parameters in the order of [`VariableGain::new`]. The values are those that `trainer tune-rival variable-gain` finds for the
+/// Parameters in the order of [`VariableGain::new`]. The values are those that `lab tune-rival variable-gain` finds for the
 /// family `adult`.
 pub(super) const PARAMETERS: [Parameter; 5] = [
     Parameter { coarse: &[1.0, 2.5, 5.0, 10.0], tuned: 5.0, ..GAIN_P },

@@ -1,4 +1,4 @@
-//! `trainer robust`: a controller on many random plants of a family.
+//! `lab robust`: a controller on many random plants of a family.
 
 use std::path::{Path, PathBuf};
 
@@ -7,12 +7,13 @@ use serde::Serialize;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::pid::PidGains;
 
-use crate::args::controller::{Chosen, ControllerArgs};
-use crate::args::gains::format_gains;
+use crate::args::law::LawArgs;
 use crate::args::policy::{PolicyArgs, account, at, check, print as print_account};
-use crate::args::shards::ShardFolderArgs;
-use crate::command::{Command, Context, Output, OutputArgs, write};
 use campaign::Campaign;
+use host::args::controller::Chosen;
+use host::args::gains::format_gains;
+use host::args::shards::ShardFolderArgs;
+use host::command::{Command, Context, Output, OutputArgs, write};
 use laws::policy::account::Account;
 use laws::policy::in_turns;
 use plant::bench::family::Family;
@@ -27,12 +28,12 @@ const RATIOS: (f64, f64) = (0.3, 1.5);
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer robust --plants 1000 --controller out/once/controller.safetensors
-  trainer robust --plants 100000 --breaths 6 --subset 0 --keep robust.json --json result.json
-  trainer robust --family my-machines.toml --gains 3,30,0 --save-worst worst
-  trainer robust --plants 20 --subset 0 --policy 'pipe:python3 examples/python/policy.py'
-  trainer robust --plants 10000000 --subset 0 --shard 3/1000 --out out/robust   # each task, then:
-  trainer robust --plants 10000000 --subset 0 --merge --out out/robust
+  lab robust --plants 1000 --controller out/once/controller.safetensors
+  lab robust --plants 100000 --breaths 6 --subset 0 --keep robust.json --json result.json
+  lab robust --family my-machines.toml --gains 3,30,0 --save-worst worst
+  lab robust --plants 20 --subset 0 --policy 'pipe:python3 examples/python/policy.py'
+  lab robust --plants 10000000 --subset 0 --shard 3/1000 --out out/robust   # each task, then:
+  lab robust --plants 10000000 --subset 0 --merge --out out/robust
 
 A family is a bench description with ranges: each plant draws its valve, circuit, sensor and lung
 from them, by the seed and its number. Every plant gets one of the family's waveforms (the paper's,
@@ -62,7 +63,7 @@ pub struct Args {
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     breaths: u32,
     #[command(flatten)]
-    controller: ControllerArgs,
+    law: LawArgs,
     #[command(flatten)]
     policy: PolicyArgs,
     /// Name of the policy in kept results, which only the same name continues or merges: give every version its own
@@ -141,8 +142,8 @@ fn chosen(args: &Args, family: &Family) -> anyhow::Result<Chosen> {
              with a new name for every version of the policy"
         );
     }
-    let Some(policy) = args.policy.connect()? else { return args.controller.chosen_for(family) };
-    let chosen = args.controller.chosen_with(policy, None)?;
+    let Some(policy) = args.policy.connect()? else { return args.law.chosen_for(family) };
+    let chosen = args.law.chosen_with(policy, None)?;
     Ok(match &args.policy_id {
         Some(name) => chosen.known_as(name),
         None => chosen,

@@ -1,11 +1,11 @@
-//! `trainer reproduce`: runs the paper's experiments and writes a report.
+//! `lab reproduce`: runs the paper's experiments and writes a report.
 
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use crate::args::shards::ShardArgs;
-use crate::command::{Command, Context, Output, OutputArgs};
+use host::args::shards::ShardArgs;
+use host::command::{Command, Context, Output, OutputArgs};
 use paper::shards::Shards;
 use paper::{Budget, Experiment, Reproduction, Results, headline, lungs_table, run as reproduce};
 use plant::bench::BenchConfig;
@@ -14,11 +14,11 @@ use plant::bench::BenchConfig;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer reproduce --quick --out out/quick
-  trainer reproduce --seed 1 --out out/paper
-  trainer reproduce --only unseen --only iso --out out/paper
-  trainer reproduce --out out/paper --shard 3/20    # each task of 20, at the same time, then:
-  trainer reproduce --out out/paper --merge
+  lab reproduce --quick --out out/quick
+  lab reproduce --seed 1 --out out/paper
+  lab reproduce --only unseen --only iso --out out/paper
+  lab reproduce --out out/paper --shard 3/20    # each task of 20, at the same time, then:
+  lab reproduce --out out/paper --merge
 
 Each experiment keeps its result in the folder and reuses the results it finds there, so Ctrl-C
 loses nothing: the same command continues. results.json contains all figures; report.html and

@@ -1,27 +1,27 @@
-//! `trainer runs`: lists, compares and plots the runs that left a record in a folder.
+//! `lab runs`: lists, compares and plots the runs that left a record in a folder.
 
 use std::path::PathBuf;
 
 use anyhow::{Context as _, ensure};
 use serde::Serialize;
 
-use crate::command::{Command, Context, Output, OutputArgs, write};
 use campaign::record::{Ending, Record, State};
 use experiments::runs::{
     Comparison, OptionDifference, Run, RunsError, check_figure, figure_names, find, listed, named, plots,
     sort,
 };
+use host::command::{Command, Context, Output, OutputArgs, write};
 use show::report::{Block, Cell, Plot, Report, Section, Table};
 
 /// List, compare and plot runs, from the records that commands leave in their folders
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer runs out
-  trainer runs out --figure mean.learned --sort mean.learned --filter lung=R20C20
-  trainer runs out --compare seed-1 seed-2
-  trainer runs out/sweep --figure mean.learned --plot learned.svg --x seed
-  trainer runs out --plot curves.svg --report runs.html
+  lab runs out
+  lab runs out --figure mean.learned --sort mean.learned --filter lung=R20C20
+  lab runs out --compare seed-1 seed-2
+  lab runs out/sweep --figure mean.learned --plot learned.svg --x seed
+  lab runs out --plot curves.svg --report runs.html
 
 A record is the file made-by.json in the folder of a command with --out, or, for a command that
 writes only --json FILE.json, FILE.made-by.json: program, command with all options, machine, engine,

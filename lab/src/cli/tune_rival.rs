@@ -1,12 +1,12 @@
-//! `trainer tune-rival`: searches the best parameters of a rival for a family or for lungs.
+//! `lab tune-rival`: searches the best parameters of a rival for a family or for lungs.
 
 use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::args::bench::benches;
-use crate::args::controller::rival_names;
-use crate::command::{Command, Context, Makes, Output, OutputArgs};
+use crate::args::law::rival_names;
+use host::args::bench::benches;
+use host::command::{Command, Context, Makes, Output, OutputArgs};
 use laws::rivals::Rival;
 use laws::rivals::tuning::{Tuned, TuningPlan, tune};
 use plant::bench::family::Family;
@@ -16,9 +16,9 @@ use show::report::{Cell, Table};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer tune-rival variable-gain
-  trainer tune-rival iterative --family my-machines.toml --json tuned.json
-  trainer tune-rival feed-forward --lung R5C50
+  lab tune-rival variable-gain
+  lab tune-rival iterative --family my-machines.toml --json tuned.json
+  lab tune-rival feed-forward --lung R5C50
 
 variable-gain is a PID with a higher gain on errors outside a dead zone (Hunnekens et al. 2020).
 iterative is iterative learning control over a PID: what it adds to the command is learned from the
@@ -30,7 +30,7 @@ dropped.
 The score is the mean absolute error over the first breaths from rest: 3 for variable-gain, 6 for
 feed-forward and 20 for iterative and gated, which learn longest. A coarse grid is screened on a few
 plants; from its best points the search steps to better neighbours on all of them, with ever smaller
-steps. The plants of a family are apart from those of `trainer robust`. The values for the family
+steps. The plants of a family are apart from those of `lab robust`. The values for the family
 adult are the defaults of --controller NAME; the printed ones can be tried with --parameters. A
 search for a family gives feed-forward the nominal machine of that family, and so do robust and
 margins with --family; other commands give it the nominal machine for adults. Ctrl-C ends the search

@@ -3,7 +3,7 @@
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
 
-use crate::command::Context;
+use host::command::Context;
 use trials::endure::course::{Event, Observer, Scene};
 use trials::endure::deserved::Verdict;
 use trials::endure::patient::Patient;

@@ -1,4 +1,4 @@
-//! `trainer margins`, on one lung.
+//! `lab margins`, on one lung.
 
 use super::support::Place;
 

@@ -1,4 +1,4 @@
-//! `trainer endure`: random patients at random machines, for hours.
+//! `lab endure`: random patients at random machines, for hours.
 
 mod diary;
 
@@ -11,9 +11,9 @@ use shared::safety::alarms::Priority;
 use shared::weights::decode;
 
 use self::diary::{Diary, describe};
-use crate::args::controller::{image_id, image_of};
-use crate::args::shards::ShardFolderArgs;
-use crate::command::{Command, Context, Output, OutputArgs};
+use host::args::controller::{image_id, image_of};
+use host::args::shards::ShardFolderArgs;
+use host::command::{Command, Context, Output, OutputArgs};
 use show::report::{Cell, Table};
 use trials::endure::course;
 use trials::endure::patient::Patient;
@@ -24,12 +24,12 @@ use trials::endure::{Endurance, Question, sound_controller};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer endure --patients 20 --hours 1
-  trainer endure --patients 1000 --hours 24 --seed 7 --keep endure.json --json result.json
-  trainer endure --seed 7 --hours 24 --patient 123     # one patient, with each alarm
-  trainer endure --controller out/once/controller.safetensors
-  trainer endure --patients 1000 --hours 24 --shard 3/40 --out out/endure   # each task of 40, then:
-  trainer endure --patients 1000 --hours 24 --merge --out out/endure
+  lab endure --patients 20 --hours 1
+  lab endure --patients 1000 --hours 24 --seed 7 --keep endure.json --json result.json
+  lab endure --seed 7 --hours 24 --patient 123     # one patient, with each alarm
+  lab endure --controller out/once/controller.safetensors
+  lab endure --patients 1000 --hours 24 --shard 3/40 --out out/endure   # each task of 40, then:
+  lab endure --patients 1000 --hours 24 --merge --out out/endure
 
 Lung, breathing, coughs, leaks, machine and settings are drawn from the seed and the patient's
 number. The bench knows the truth: an alarm is deserved if its condition was true in the running

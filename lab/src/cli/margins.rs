@@ -1,4 +1,4 @@
-//! `trainer margins`: stability margins by sine injection, the residual's gain, the certificate of iterative learning, and the
+//! `lab margins`: stability margins by sine injection, the residual's gain, the certificate of iterative learning, and the
 //! accuracy of the pressure.
 
 use std::path::{Path, PathBuf};
@@ -7,9 +7,10 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::control::pid::PidGains;
 
-use crate::args::bench::benches;
-use crate::args::controller::{Chosen, ControllerArgs};
-use crate::command::{Command, Context, Makes, Output, OutputArgs, write};
+use crate::args::law::LawArgs;
+use host::args::bench::benches;
+use host::args::controller::Chosen;
+use host::command::{Command, Context, Makes, Output, OutputArgs, write};
 use margins::iteration::{Certificate, Certified, LearningFilter, Spread};
 use margins::response::Sweep;
 use margins::stability::{Margins, RequiredMargins};
@@ -30,11 +31,11 @@ const CIRCLE: usize = 180;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer margins --gains 6,290,0.21
-  trainer margins --controller out/once/controller.safetensors --lung paper --json margins.json
-  trainer margins --gains 6,290,0.21 --bench slow.toml --bench fast.toml --figure nyquist.svg
-  trainer margins --family adult --plants 100 --seed 2 --controller out/once/controller.safetensors
-  trainer margins --gains 2.5,60,0.08 --learning 2,50,15 --learning-figure learning.svg
+  lab margins --gains 6,290,0.21
+  lab margins --controller out/once/controller.safetensors --lung paper --json margins.json
+  lab margins --gains 6,290,0.21 --bench slow.toml --bench fast.toml --figure nyquist.svg
+  lab margins --family adult --plants 100 --seed 2 --controller out/once/controller.safetensors
+  lab margins --gains 2.5,60,0.08 --learning 2,50,15 --learning-figure learning.svg
 
 A plateau is held at each of the paper's six PIPs, and a sine is added to the command of the
 inspiratory valve. The ratio of the commands before and after the sine is the loop gain L. From it:
@@ -58,11 +59,11 @@ With --learning, the controller is the one under iterative learning control; --c
 and gated have rules of their own, and their margins are those of the PID or the learned controller
 underneath. The largest factor on an error from breath to breath is printed, and the number of
 plants on which it is below one at every frequency: there, what is wrong dies out. It says nothing
-about what a learned controller does with remembered breaths; `trainer robust` counts plants on
+about what a learned controller does with remembered breaths; `lab robust` counts plants on
 which a later breath is worse.")]
 pub struct Args {
     #[command(flatten)]
-    controller: ControllerArgs,
+    law: LawArgs,
     /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
     #[arg(long, value_name = "NAME", default_value = "R20C20", conflicts_with_all = ["bench", "family"])]
     lung: Vec<String>,
@@ -141,8 +142,8 @@ impl Command for Args {
         let family = self.family.as_deref().map(Family::find).transpose()?;
         let plants = plants(self, family.as_ref())?;
         let chosen = match &family {
-            Some(family) => self.controller.chosen_for(family)?,
-            None => self.controller.chosen(None)?,
+            Some(family) => self.law.chosen_for(family)?,
+            None => self.law.chosen(None)?,
         };
         if self.learning_figure.is_some() && learning_of(self, &chosen).is_none() {
             bail!(

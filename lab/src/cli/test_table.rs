@@ -1,4 +1,4 @@
-//! `trainer test-table`: the rows of the pressure-control test table.
+//! `lab test-table`: the rows of the pressure-control test table.
 
 use std::path::{Path, PathBuf};
 
@@ -7,8 +7,8 @@ use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, ISO_ROWS, IsoRow};
 use shared::control::Controller;
 
-use crate::args::controller::learned;
-use crate::command::{Command, Context, Makes, Output, OutputArgs};
+use host::args::controller::learned;
+use host::command::{Command, Context, Makes, Output, OutputArgs};
 use plant::bench::{BenchConfig, is_neonatal};
 use score::evaluate::{EVALUATE, plateau_tolerance};
 use show::report::{Cell, Table};
@@ -18,9 +18,9 @@ use trials::test_table::{MOST_OVERSHOOT, Outcome, outcome};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer test-table
-  trainer test-table --adult out/adult/controller.safetensors --json -
-  trainer test-table --seed 7
+  lab test-table
+  lab test-table --adult out/adult/controller.safetensors --json -
+  lab test-table --seed 7
 
 Rows 1 to 8 run on the machine for adults, rows 9 to 21 on the one for newborns. Each row runs six
 breaths from rest; the sixth is measured. A row passes if the mean plateau error is at most

@@ -1,4 +1,4 @@
-//! `trainer faults`: the fault matrix on the virtual bench.
+//! `lab faults`: the fault matrix on the virtual bench.
 
 use std::path::PathBuf;
 
@@ -7,9 +7,9 @@ use serde::Serialize;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::safety::monitors::Monitors;
 
-use crate::args::bench::benches;
-use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use data::provenance::Provenance;
+use host::args::bench::benches;
+use host::command::{Command, Context, Makes, Output, OutputArgs};
 use plant::bench::BenchConfig;
 use show::report::{Block, Cell, Report, Section, Table};
 use trials::faults::cases::{LIMIT, LIMITS};
@@ -20,12 +20,12 @@ use trials::faults::parts::{Part, without_each_part};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer faults
-  trainer faults --lung R5C10 --json faults.json --html faults.html
-  trainer faults --limit 60                                 # another pressure limit
-  trainer faults --without reading-frozen --lung R20C20     # the rows that need this monitor
-  trainer faults --mutate                                   # the same for each monitor and response
-  trainer faults --nominal 10000                            # false alarms with effort and coughs
+  lab faults
+  lab faults --lung R5C10 --json faults.json --html faults.html
+  lab faults --limit 60                                 # another pressure limit
+  lab faults --without reading-frozen --lung R20C20     # the rows that need this monitor
+  lab faults --mutate                                   # the same for each monitor and response
+  lab faults --nominal 10000                            # false alarms with effort and coughs
 
 A row passes if its monitors fire under every seed, ventilation goes on (80 % of the volume of a
 sound machine, no gap longer than two breaths) unless no command can move the gas, the venting

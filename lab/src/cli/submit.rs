@@ -1,26 +1,28 @@
-//! `trainer submit`: runs the shards of another command on an engine.
+//! `lab submit`: runs the shards of another command on an engine.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use clap::Parser;
 
 use super::Cli;
-use crate::command::{Command, Context, Makes, Program};
+use crate::args::program::{is_ours, program_of};
 use experiments::submit::parallel::Parallel;
 use experiments::submit::slurm::{Slurm, Submitted};
 use experiments::submit::{Job, SubmitError};
+use host::cli::Cli as Trainer;
+use host::command::{Command, Context, Makes, Program};
 
 /// Run a command in shards, on Slurm or with GNU parallel, and merge them
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer submit slurm --shards 1000 -- robust --plants 10000000 --subset 0 --out out/robust
-  trainer submit slurm --dry-run -- torture --breaths 6000 --seed 5 --out out/torture
-  trainer submit slurm --option --partition=short --option --time=1:00:00 -- endure --patients 1000
-  trainer submit parallel --jobs 8 -- endure --patients 1000 --hours 24
+  lab submit slurm --shards 1000 -- robust --plants 10000000 --subset 0 --out out/robust
+  lab submit slurm --dry-run -- torture --breaths 6000 --seed 5 --out out/torture
+  lab submit slurm --option --partition=short --option --time=1:00:00 -- endure --patients 1000
+  lab submit parallel --jobs 8 -- endure --patients 1000 --hours 24
 
-The commands are robust, endure, torture, tune-pid, reproduce and sweep, with their usual options.
+The commands are robust, endure, torture, reproduce and sweep, and the trainer's tune-pid, with
+their usual options.
 Their folder (--out; without it out/NAME) must be one that all machines see: it is all that the
 tasks share.
 
@@ -81,7 +83,7 @@ impl Common {
         let name = arguments.first().cloned().unwrap_or_default();
         let out = out.unwrap_or_else(|| Path::new("out").join(&name));
         let out = std::path::absolute(&out).with_context(|| out.display().to_string())?;
-        let program = std::env::current_exe().context("cannot find the path of this program")?;
+        let program = program_of(&name)?;
         let job = Job { program, arguments, out, shards: self.shards };
         check(&job)?;
         Ok(job)
@@ -104,10 +106,9 @@ fn without_out(command: &[String]) -> anyhow::Result<(Vec<String>, Option<PathBu
 
 /// Refuses a command that its tasks would refuse.
 fn check(job: &Job) -> anyhow::Result<()> {
-    let words = ["trainer"].into_iter().chain(job.arguments.iter().map(String::as_str));
-    let out = job.out.to_string_lossy();
-    let parsed = Cli::try_parse_from(words.clone().chain(["--shard", "0/1", "--out", &out]));
-    match parsed.map(|cli| cli.chosen().output().makes == Makes::Shard) {
+    let ours = is_ours(job.arguments.first().map_or("", String::as_str));
+    let divides = if ours { divides::<Cli>(job) } else { divides::<Trainer>(job) };
+    match divides {
         Ok(true) => Ok(()),
         Ok(false) => bail!(
             "`{}` cannot be divided into shards: torture, endure, robust, tune-pid, reproduce and sweep can",
@@ -119,6 +120,14 @@ fn check(job: &Job) -> anyhow::Result<()> {
             bail!("the command after -- cannot be divided into shards: {reason}")
         }
     }
+}
+
+/// Whether a command of a program runs as a shard if it is asked to.
+fn divides<P: Program>(job: &Job) -> Result<bool, clap::Error> {
+    let (name, out) = (P::command().get_name().to_owned(), job.out.to_string_lossy().into_owned());
+    let words = [name].into_iter().chain(job.arguments.iter().cloned());
+    let shard = ["--shard", "0/1", "--out", &out].map(str::to_owned);
+    Ok(P::try_parse_from(words.chain(shard))?.chosen().output().makes == Makes::Shard)
 }
 
 impl Command for Args {

@@ -1,4 +1,4 @@
-//! `trainer bound`: a reference bound per lung and waveform, from commands optimised on a fully known lung.
+//! `lab bound`: a reference bound per lung and waveform, from commands optimised on a fully known lung.
 
 use std::path::PathBuf;
 
@@ -6,9 +6,9 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 
-use crate::args::bench::benches;
-use crate::args::settings::SettingsArgs;
-use crate::command::{Command, Context, Makes, Output, OutputArgs};
+use host::args::bench::benches;
+use host::args::settings::SettingsArgs;
+use host::command::{Command, Context, Makes, Output, OutputArgs};
 use plant::bench::BenchConfig;
 use score::bound::{Bound, BoundConfig, bounds, triggering};
 use score::breathing::STRENGTHS;
@@ -19,11 +19,11 @@ use show::report::{Cell, Table};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer bound --lung R20C20
-  trainer bound --lung R5C50 --lung R50C10 --pips 15,35
-  trainer bound --lung paper --json bound.json
-  trainer bound --lung R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
-  trainer bound --lung paper --breathing
+  lab bound --lung R20C20
+  lab bound --lung R5C50 --lung R50C10 --pips 15,35
+  lab bound --lung paper --json bound.json
+  lab bound --lung R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
+  lab bound --lung paper --breathing
 
 The search knows every parameter of the bench, has no sensor noise and may repeat a breath as often
 as it needs. It is a search, not a proof: better commands may exist. Check with --effort 2; where

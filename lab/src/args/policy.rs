@@ -10,8 +10,8 @@ use plant::line::Address;
 use plant::link::PATIENCE;
 use ventilator::law::AnyLaw;
 
-use super::plant::seconds;
-use crate::command::Context;
+use host::args::plant::seconds;
+use host::command::Context;
 
 /// The choice of a policy.
 #[derive(Debug, clap::Args)]

@@ -1,22 +1,22 @@
-//! `trainer sweep`: one command with every combination of some options.
+//! `lab sweep`: one command with every combination of some options.
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use serde::Serialize;
 
-use crate::args::shards::ShardArgs;
-use crate::command::{Command, Context, Output, OutputArgs};
+use crate::args::program::program_of;
 use campaign::Campaign;
 use experiments::sweep::{RunResult, RunResults, Sweep, SweepWork, in_words};
+use host::args::shards::ShardArgs;
+use host::command::{Command, Context, Output, OutputArgs};
 use show::report::{Cell, Table};
 
 /// Run a command with every combination of some options, such as seeds or hyper-parameters
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer sweep sweep.toml --out out/sweep
-  trainer submit slurm --shards 12 -- sweep sweep.toml --out out/sweep
+  lab sweep sweep.toml --out out/sweep
+  lab submit slurm --shards 12 -- sweep sweep.toml --out out/sweep
 
 sweep.toml, here twelve runs of the demo:
   command = \"demo --lung R20C20 --out {out}\"
@@ -25,8 +25,8 @@ sweep.toml, here twelve runs of the demo:
   rounds = [1, 3]
   seed = [1, 2, 3, 4, 5, 6]
 
-The command can be any with --json, such as demo, train, train-family, robust or evaluate; figures
-are numbers in its JSON. {out} stands for a folder of the run's own. Option names are those of the
+The command can be any with --json of `lab` or, if it has none of that name, of `trainer`, such as
+demo, train, train-family, robust or evaluate; figures are numbers in its JSON. {out} stands for a folder of the run's own. Option names are those of the
 command line, without the dashes; true and false set or omit an option without a value. There are
 as many runs at a time as cores, with one core each. Ctrl-C loses no complete run: the same command
 continues.")]
@@ -60,7 +60,7 @@ impl Command for Args {
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
         let sweep = Sweep::load(&self.file)?;
-        let program = std::env::current_exe().context("cannot find the path of this program")?;
+        let program = program_of(sweep.command.split_whitespace().next().unwrap_or_default())?;
         let work = SweepWork { sweep: &sweep, program, out: self.out.clone() };
         let campaign = if self.shards.divides() {
             let Some(merged) = self.shards.divided(&work, sweep.runs(), &self.out, context)? else {

@@ -1,11 +1,11 @@
-//! `trainer torture`: runs random breaths with hostile weights.
+//! `lab torture`: runs random breaths with hostile weights.
 
 use std::path::PathBuf;
 
 use anyhow::bail;
 
-use crate::args::shards::ShardFolderArgs;
-use crate::command::{Command, Context, Output, OutputArgs};
+use host::args::shards::ShardFolderArgs;
+use host::command::{Command, Context, Output, OutputArgs};
 use trials::faults::cases::LIMIT;
 use trials::faults::torture::{BREATHS_PER_RUN, Peaks, Summary, Torture};
 
@@ -13,11 +13,11 @@ use trials::faults::torture::{BREATHS_PER_RUN, Peaks, Summary, Torture};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer torture --breaths 100000
-  trainer torture --breaths 1000000 --seed 7 --keep torture.json --json result.json
-  trainer torture --limit 60
-  trainer torture --breaths 1000000 --shard 3/40 --out out/torture   # each task of 40, then:
-  trainer torture --breaths 1000000 --merge --out out/torture
+  lab torture --breaths 100000
+  lab torture --breaths 1000000 --seed 7 --keep torture.json --json result.json
+  lab torture --limit 60
+  lab torture --breaths 1000000 --shard 3/40 --out out/torture   # each task of 40, then:
+  lab torture --breaths 1000000 --merge --out out/torture
 
 The result does not depend on the number of threads. With --keep, Ctrl-C loses nothing: the same
 command continues. The command fails if the true airway pressure exceeds the limit by more than

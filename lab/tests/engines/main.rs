@@ -5,13 +5,14 @@ mod disk;
 mod hyperqueue;
 mod parallel;
 mod slurm;
-#[path = "../command_line/support.rs"]
+#[path = "../../../host/tests/command_line/support.rs"]
 #[expect(dead_code, reason = "the tests of the command line use the rest")]
 mod support;
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use lab::args::program::is_ours;
 use support::Place;
 
 /// A command of a second or two.
@@ -37,4 +38,13 @@ fn record(place: &Place, shard: &str) -> serde_json::Value {
 /// The command to submit, after `--`.
 fn submitted(place: &Place) -> String {
     format!("-- {COMMAND} --out run --json {}", merged(place).display())
+}
+
+/// The program of a command line: the laboratory's or, for a command that it does not have, the trainer beside it.
+fn program_of(line: &str) -> PathBuf {
+    let lab = Path::new(env!("CARGO_BIN_EXE_lab"));
+    let trainer = lab.with_file_name(format!("trainer{}", std::env::consts::EXE_SUFFIX));
+    let is_ours = line.split_whitespace().next().is_none_or(is_ours);
+    assert!(is_ours || trainer.exists(), "{} is missing: cargo build --bin trainer", trainer.display());
+    if is_ours { lab.to_owned() } else { trainer }
 }

@@ -1,4 +1,4 @@
-//! Records of real runs, and what `trainer runs` shows of them.
+//! Records of real runs, and what `lab runs` shows of them.
 
 use std::collections::BTreeSet;
 use std::fs;

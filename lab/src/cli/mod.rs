@@ -1,0 +1,71 @@
+//! The commands of the laboratory, one file each.
+//!
+//! Each command reads its arguments, calls the library, prints a table and writes the requested files. All computation
+//! is in the library.
+
+mod bound;
+mod endure;
+mod evaluate;
+mod faults;
+mod margins;
+mod reproduce;
+mod robust;
+mod runs;
+#[cfg(unix)]
+mod submit;
+mod sweep;
+mod test_table;
+mod torture;
+mod tune_rival;
+
+use clap::Parser;
+
+use host::command::{Program, Runnable};
+use host::commands;
+
+/// The laboratory of learned pressure control: rivals, robustness, faults, margins, the paper's experiments.
+#[derive(Debug, Parser)]
+#[command(name = "lab", version, long_about = None, after_help = "\
+`cargo trainer` learns controllers and goes with a ventilator; `cargo lab` examines them. EUPNEA_LOG
+sets what is logged, as in EUPNEA_LOG=debug. Research software: never for use on a patient.")]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Commands,
+}
+
+impl Program for Cli {
+    fn chosen(&self) -> &dyn Runnable {
+        self.command.chosen()
+    }
+}
+
+commands! {
+    enum Commands {
+        Evaluate(evaluate::Args),
+        Robust(robust::Args),
+        Bound(bound::Args),
+        Margins(margins::Args),
+        TestTable(test_table::Args),
+        TuneRival(tune_rival::Args),
+        Faults(faults::Args),
+        Torture(torture::Args),
+        Endure(endure::Args),
+        Reproduce(reproduce::Args),
+        Sweep(sweep::Args),
+        #[cfg(unix)]
+        Submit(submit::Args),
+        Runs(runs::Args),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_arguments_of_all_commands_are_consistent() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,27 @@
+//! The texts of `--help`, word by word.
+
+use super::support::Place;
+
+#[test]
+fn every_command_explains_itself() {
+    let place = Place::new();
+    for command in [
+        "evaluate",
+        "robust",
+        "bound",
+        "margins",
+        "test-table",
+        "tune-rival",
+        "faults",
+        "torture",
+        "endure",
+        "reproduce",
+        "sweep",
+        "submit",
+        "runs",
+    ] {
+        let help = place.ok(&format!("{command} --help"));
+        assert!(help.contains("Examples:"), "{command}");
+        insta::assert_snapshot!(command, help);
+    }
+}
