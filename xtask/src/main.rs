@@ -8,6 +8,7 @@ mod faults;
 mod firmware;
 mod memory;
 mod mutants;
+mod npm;
 mod package;
 mod python;
 mod qemu_test;

@@ -5,21 +5,18 @@ use std::ffi::OsString;
 use std::iter;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use xshell::{Shell, cmd};
 
 use crate::firmware;
+use crate::npm::{self, PAGE};
 use crate::trainer::Trainer;
 use crate::web_demo;
 
-/// Folder of the page.
-const PAGE: &str = "host/bedside/web";
 /// Test files that run at the same time: most of their time they wait for breaths and flashes.
 const AT_ONCE: usize = 3;
 /// Where the set-up puts node and npm if the machine's are too old.
 const NODE: &str = "target/node/bin";
-/// The lock file, and a copy of it beside the packages that were installed by it.
-const LOCK: [&str; 2] = ["package-lock.json", "node_modules/.installed.json"];
 
 /// Arguments of `cargo xtask web`.
 #[derive(clap::Args)]
@@ -47,7 +44,7 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let images = firmware::build_unsigned(shell)?;
     let root = shell.current_dir();
     let _folder = shell.push_dir(PAGE);
-    install(shell)?;
+    npm::install(shell)?;
     if arguments.screenshots {
         return Ok(cmd!(shell, "node dev/screenshots.mjs")
             .env("TRAINER", trainer.program())
@@ -90,20 +87,6 @@ fn remedy(program: &str) -> &'static str {
     }
 }
 
-/// Installs the packages of the lock file, unless they are the ones that are installed.
-pub fn install(shell: &Shell) -> Result<()> {
-    let [wanted, installed] = LOCK.map(|path| shell.read_file(path).ok());
-    if wanted.is_some() && wanted == installed {
-        return Ok(());
-    }
-    println!("npm packages: installing them into {PAGE}/node_modules");
-    cmd!(shell, "npm ci --no-audit --no-fund --loglevel=error").quiet().run().context(
-        "cannot install the page's packages: check the connection and npm's configuration, then repeat this",
-    )?;
-    shell.copy_file(LOCK[0], LOCK[1])?;
-    Ok(())
-}
-
 /// Runs the browser tests. None may be left out, as they are elsewhere if a program is missing.
 fn browse(shell: &Shell, trainer: &Path, images: &Path, filters: &[String]) -> Result<()> {
     let mut files = shell.read_dir("test")?;
@@ -133,17 +116,5 @@ mod tests {
              node 20 or newer with npm"
         );
         find(&shell, &["cargo"]).unwrap();
-    }
-
-    #[test]
-    fn packages_of_the_same_lock_file_are_not_installed_again() {
-        let shell = Shell::new().unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        shell.change_dir(folder.path());
-        for path in LOCK {
-            shell.write_file(path, "{}").unwrap();
-        }
-        install(&shell).unwrap();
-        assert!(!shell.path_exists("node_modules/.package-lock.json"), "npm was not called");
     }
 }

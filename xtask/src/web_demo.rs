@@ -8,14 +8,12 @@ use xshell::{Shell, cmd};
 
 use crate::WEB_TARGET;
 use crate::firmware::cargo_folder;
-use crate::web;
+use crate::npm::{self, PAGE};
 
 /// Folder of the files, which any web server can serve.
 const FOLDER: &str = "docs/demo";
 /// File of the module.
 const MODULE: &str = "demo.wasm";
-/// Folder of the page's sources.
-const PAGE: &str = "host/bedside/web";
 /// The test of a module, in the page's folder: its samples are those of the host, bit for bit.
 const TEST: &str = "out/demo.test.mjs";
 
@@ -25,7 +23,7 @@ pub fn run(shell: &Shell) -> Result<()> {
     shell.create_dir(FOLDER)?;
     shell.write_file(format!("{FOLDER}/{MODULE}"), module)?;
     let _page = shell.push_dir(PAGE);
-    web::install(shell)?;
+    npm::install(shell)?;
     cmd!(shell, "node build.mjs").quiet().run()?;
     cmd!(shell, "node build.mjs --tests").quiet().run()?;
     cmd!(shell, "node --test {TEST} test/demo.browser.mjs").env("SKIP_NOTHING", "1").quiet().run()?;

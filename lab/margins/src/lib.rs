@@ -11,6 +11,7 @@
 
 pub mod injection;
 pub mod iteration;
+mod measured_point;
 pub mod operating_point;
 pub mod residual_gain;
 pub mod response;
@@ -24,11 +25,12 @@ use shared::breath::{PAPER_PIPS, period_s};
 use shared::control::residual::Residual;
 use shared::control::{ControlLaw, Controller};
 
+pub use measured_point::MeasuredPoint;
 use operating_point::{HELD_AT_S, OperatingPoint};
 use plant::bench::{BenchConfig, BenchError};
 use progress::{Progress, Stage, Task};
 use residual_gain::ResidualGain;
-use response::{Loop, ResponsePoint, Sweep};
+use response::{Loop, Sweep};
 use stability::{Margins, RequiredMargins};
 
 /// Measuring stability margins: operating points.
@@ -40,24 +42,6 @@ const SETTLE_S: f64 = 20.0;
 const OSCILLATES_CMH2O: f64 = 1.0;
 /// Factor on the amplitude of the second measurement.
 const LARGER: f64 = 2.0;
-
-/// A loop measured at one operating point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MeasuredPoint {
-    /// The operating point.
-    #[serde(flatten)]
-    pub point: OperatingPoint,
-    /// Standard deviation of the pressure reading at rest, before any sine, cmH2O.
-    pub rest_sd_cmh2o: f64,
-    /// Its margins; none if it oscillates by itself.
-    pub margins: Option<Margins>,
-    /// Its margins with twice the amplitude.
-    pub doubled: Option<Margins>,
-    /// Share of the time in which the command with the sine reached the valve's limits.
-    pub limited: f64,
-    /// The response from which the margins were read.
-    pub response: Vec<ResponsePoint>,
-}
 
 /// The loops of a plant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -16,6 +16,7 @@ mod learning;
 mod limits;
 mod lungs;
 mod report;
+mod reproduction;
 mod results;
 mod rivals;
 pub mod shards;
@@ -26,55 +27,20 @@ mod tests;
 mod tracking;
 mod unseen;
 
-use std::path::PathBuf;
-
-use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
-
 use error::Result;
-use plant::bench::BenchConfig;
 use progress::Progress;
 
 pub use ablations::Ablation;
 pub use error::PaperError;
 pub use report::{headline, lungs_table};
+pub use reproduction::{Budget, Experiment, Reproduction};
 pub use results::{
     BalloonFigures, EffortFigures, IsoFigures, LungFigures, LungMeans, Results, RlFigure, RlFigures,
     UnseenFigures,
 };
 pub use rivals::{Contender, Contest};
 use side_by_side::{Piece, piece, side_by_side};
-pub use study::Budget;
 use study::Study;
-
-/// An experiment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
-pub enum Experiment {
-    /// The best P, I and PID for each lung and for all lungs
-    Tuning,
-    /// A learned controller for each lung
-    Lungs,
-    /// One learned controller for all lungs
-    Generalist,
-    /// A reference bound per lung: commands optimised on a fully known bench
-    Bound,
-    /// Curves of all controllers on one lung
-    Tracking,
-    /// Lungs and ventilators not used in training
-    Unseen,
-    /// Controllers for a whole family of plants, and laws from the literature
-    Rivals,
-    /// A lung that changes between two breaths
-    Changes,
-    /// The pressure-control rows of the test table
-    Iso,
-    /// The authors' own plant, beside their figures
-    Balloon,
-    /// PPO and DQN on the learned simulators of one lung
-    Rl,
-    /// The contribution of each part of the system, on one lung
-    Ablations,
-}
 
 impl Experiment {
     /// The experiments in groups: those of a group need only earlier groups. Within a group, long pieces come first.
@@ -135,21 +101,6 @@ impl Experiment {
             Self::Ablations => ablations::pieces(study)?,
         })
     }
-}
-
-/// Configuration of a reproduction.
-#[derive(Clone, Debug)]
-pub struct Reproduction {
-    /// Seed of all random numbers.
-    pub seed: u64,
-    /// Repeats and sizes of the experiments.
-    pub budget: Budget,
-    /// The lungs to train on.
-    pub lungs: Vec<BenchConfig>,
-    /// Folder for all results.
-    pub out: PathBuf,
-    /// The experiments to run; those they depend on run as well.
-    pub only: Vec<Experiment>,
 }
 
 /// Runs the experiments, then writes all results in the folder as `results.json`, `report.html` and `results.md`.

@@ -1,4 +1,4 @@
-//! Shared by the experiments: the folder for their results, their budgets, and the progress callback.
+//! Shared by the experiments: the folder for their results, and the progress callback.
 
 use std::path::PathBuf;
 
@@ -7,65 +7,13 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use super::Reproduction;
+use super::reproduction::{Budget, Reproduction};
 use crate::error::{PaperError, Result};
 use data::files::{claim, read_json, write_json_indented};
-use laws::rl::compare::RlConfig;
 use learn::controller::learned::Learned;
-use learn::pipeline::PipelineConfig;
 use plant::bench::BenchConfig;
 use progress::Progress;
-use score::baselines::{Grid, Search};
 use score::evaluate::{Evaluation, Plan, evaluate};
-
-/// Repeats and sizes of the experiments.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Budget {
-    /// Number of controllers trained for each lung, under different seeds.
-    pub repeats: u64,
-    /// Search for the best PIDs.
-    pub search: Search,
-    /// Rounds of collect, fit and train for one lung; seed and gains are replaced.
-    pub lung: PipelineConfig,
-    /// Rounds of collect, fit and train for all lungs at once.
-    pub generalist: PipelineConfig,
-    /// The pipeline that the ablations vary.
-    pub ablation: PipelineConfig,
-    /// Configuration of PPO and DQN; the seed is replaced.
-    pub learners: RlConfig,
-    /// Breaths from rest before the rivals are scored a second time: some of them learn from breath to breath.
-    pub breaths_of_learning: usize,
-}
-
-impl Budget {
-    /// The budget of the published results.
-    pub fn full() -> Self {
-        let lung = PipelineConfig::default();
-        let mut generalist = PipelineConfig { ensemble: 1, ..lung.clone() };
-        generalist.collect.breaths = 60;
-        generalist.train.iterations = 1200;
-        let ablation = PipelineConfig { rounds: 1, ..lung.clone() };
-        let (search, learners) = (Search::default(), RlConfig::default());
-        Self { repeats: 2, search, lung, generalist, ablation, learners, breaths_of_learning: 20 }
-    }
-
-    /// A small budget: the same trends in a few minutes.
-    pub fn quick() -> Self {
-        let mut lung = PipelineConfig { rounds: 1, ensemble: 1, ..PipelineConfig::default() };
-        lung.collect.breaths = 60;
-        lung.fit.epochs /= 2;
-        lung.train.iterations = 250;
-        let mut generalist = PipelineConfig { rounds: 2, ..lung.clone() };
-        generalist.collect.breaths = 40;
-        let mut ablation = lung.clone();
-        ablation.collect.breaths = 40;
-        ablation.fit.epochs /= 2;
-        ablation.train.iterations = 120;
-        let search = Search { grid: Grid::coarse(), refinements: 2, ..Search::default() };
-        let learners = RlConfig { ppo_samples: 2_000_000, dqn_samples: 1_000_000, ..RlConfig::default() };
-        Self { repeats: 1, search, lung, generalist, ablation, learners, breaths_of_learning: 6 }
-    }
-}
 
 /// The lungs, budgets and folder of a reproduction.
 pub(super) struct Study<'a> {

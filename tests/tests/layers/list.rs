@@ -65,7 +65,8 @@ impl Layers {
         let points_down = if from.krate == to.krate {
             from == to || self.depth(from) < self.depth(to)
         } else {
-            self.crate_depth(&from.krate) < self.crate_depth(&to.krate)
+            // A crate outside the list, such as the shim, is below all that are in it.
+            self.crate_depth(&to.krate).is_none_or(|depth| self.crate_depth(&from.krate) < Some(depth))
         };
         (!points_down).then(|| format!("{from} uses {to}, which is above it"))
     }

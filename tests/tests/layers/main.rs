@@ -14,24 +14,26 @@ mod sources;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
+use std::sync::LazyLock;
 
 use circles::circles;
 use list::{HEADING, Layers, Place};
 use sources::{Krate, crates};
 
-fn top() -> &'static Path {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
-}
+/// The top of the repository.
+const TOP: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+
+/// The crates of the repository.
+static CRATES: LazyLock<Vec<Krate>> = LazyLock::new(|| crates(Path::new(TOP)));
 
 fn layers() -> Layers {
-    Layers::parse(&fs::read_to_string(top().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md can be read"))
+    let path = Path::new(TOP).join("ARCHITECTURE.md");
+    Layers::parse(&fs::read_to_string(path).expect("ARCHITECTURE.md can be read"))
 }
 
 /// The crates in the list: all but the chip's and the automation.
-fn listed_crates() -> Vec<Krate> {
-    let mut crates = crates(top());
-    crates.retain(|krate| !krate.folder.starts_with("firmware") && !krate.folder.starts_with("xtask"));
-    crates
+fn listed_crates() -> impl Iterator<Item = &'static Krate> {
+    CRATES.iter().filter(|krate| !krate.folder.starts_with("firmware") && !krate.folder.starts_with("xtask"))
 }
 
 /// Uses of the laboratory on the host side, in manifests and in files.
@@ -54,11 +56,10 @@ fn uses_of_the_laboratory(crates: &[Krate]) -> Vec<String> {
 #[test]
 fn the_list_names_every_place_once() {
     let layers = layers();
-    let crates = listed_crates();
     let listed: BTreeSet<&Place> = layers.0.iter().collect();
     assert_eq!(listed.len(), layers.0.len(), "a place is in the list twice");
-    let places: BTreeSet<Place> =
-        crates.iter().flat_map(|krate| krate.sources.iter().map(|source| Place::of(krate, source))).collect();
+    let places_of = |krate: &'static Krate| krate.sources.iter().map(|source| Place::of(krate, source));
+    let places: BTreeSet<Place> = listed_crates().flat_map(places_of).collect();
     let found: BTreeSet<&Place> = places.iter().collect();
     let missing: Vec<String> = found.difference(&listed).map(ToString::to_string).collect();
     let gone: Vec<String> = listed.difference(&found).map(ToString::to_string).collect();
@@ -69,24 +70,23 @@ fn the_list_names_every_place_once() {
 
 #[test]
 fn every_path_points_down_the_list() {
-    let (layers, crates) = (layers(), listed_crates());
-    let found: Vec<String> = crates.iter().flat_map(|krate| layers.offences(&crates, krate)).collect();
+    let layers = layers();
+    let found: Vec<String> = listed_crates().flat_map(|krate| layers.offences(&CRATES, krate)).collect();
     assert!(found.is_empty(), "move the used code down, or its user up:\n{}", found.join("\n"));
 }
 
 #[test]
 fn no_files_form_a_circle() {
-    let crates = crates(top());
     for name in ["shared", "host", "python", "firmware", "shim", "xtask"] {
-        let files = crates.iter().filter(|krate| krate.name == name).map(|krate| krate.sources.len());
+        let files = CRATES.iter().filter(|krate| krate.name == name).map(|krate| krate.sources.len());
         assert!(files.sum::<usize>() > 5, "too few files of {name}");
     }
-    let found: Vec<String> = crates.iter().flat_map(circles).collect();
+    let found: Vec<String> = CRATES.iter().flat_map(circles).collect();
     assert!(found.is_empty(), "move what both files use into a file below them:\n{}", found.join("\n"));
 }
 
 #[test]
 fn the_host_side_never_uses_the_laboratory() {
-    let found = uses_of_the_laboratory(&crates(top()));
+    let found = uses_of_the_laboratory(&CRATES);
     assert!(found.is_empty(), "move the user to lab/, or the used code to host/:\n{}", found.join("\n"));
 }

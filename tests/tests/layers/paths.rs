@@ -21,8 +21,14 @@ pub struct Body {
     pub globs: Vec<Path>,
     /// Names of the items that it defines.
     pub items: BTreeSet<String>,
-    /// Its modules outside test code.
-    pub modules: Vec<ItemMod>,
+}
+
+/// The modules among the items, without those of test code.
+pub fn modules(items: &[Item]) -> impl Iterator<Item = &ItemMod> {
+    items.iter().filter_map(|item| match item {
+        Item::Mod(module) if !is_test(&module.attrs) => Some(module),
+        _ => None,
+    })
 }
 
 impl Body {
@@ -107,12 +113,8 @@ impl Body {
 
 impl<'ast> Visit<'ast> for Body {
     fn visit_item(&mut self, item: &'ast Item) {
-        if is_test(attributes(item)) {
-            return;
-        }
-        match item {
-            Item::Mod(module) => self.modules.push(module.clone()),
-            _ => visit::visit_item(self, item),
+        if !matches!(item, Item::Mod(_)) && !is_test(attributes(item)) {
+            visit::visit_item(self, item);
         }
     }
 
@@ -124,6 +126,10 @@ impl<'ast> Visit<'ast> for Body {
 
     fn visit_item_use(&mut self, item: &'ast ItemUse) {
         self.add_use(Path::new(), &item.tree, matches!(item.vis, Visibility::Inherited));
+    }
+
+    fn visit_visibility(&mut self, _: &'ast Visibility) {
+        // It says who may use an item, and uses none.
     }
 
     fn visit_path(&mut self, path: &'ast syn::Path) {
@@ -159,7 +165,6 @@ fn attributes(item: &Item) -> &[Attribute] {
         Item::Fn(item) => &item.attrs,
         Item::Impl(item) => &item.attrs,
         Item::Macro(item) => &item.attrs,
-        Item::Mod(item) => &item.attrs,
         Item::Static(item) => &item.attrs,
         Item::Struct(item) => &item.attrs,
         Item::Trait(item) => &item.attrs,

@@ -63,15 +63,14 @@ impl Krate {
         self.bodies(module).any(|body| body.items.contains(name))
     }
 
-    /// The bodies of a module: several if features choose among files.
     fn bodies(&self, module: &[String]) -> impl Iterator<Item = &Body> {
-        let bodies = self.sources.iter().flat_map(|source| &source.bodies);
+        let bodies = self.sources_at(module).flat_map(|source| &source.bodies);
         bodies.filter(move |(path, _)| path == module).map(|(_, body)| body)
     }
 
     /// The files with a module.
     pub fn sources_at(&self, module: &[String]) -> impl Iterator<Item = &Source> {
-        self.sources.iter().filter(move |source| source.bodies.iter().any(|(path, _)| path == module))
+        self.modules.get(module).into_iter().flatten().map(|place| &self.sources[*place])
     }
 
     /// The first name of a path that leads out of this crate: that of another crate.

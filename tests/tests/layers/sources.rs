@@ -1,6 +1,7 @@
 //! The crates and their source files, read as the compiler reads them: from each root file along its `mod`
 //! items.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::slice::from_ref;
@@ -24,6 +25,8 @@ pub struct Krate {
     /// Packages that it may name, also those of its tests and of its build.
     pub dependencies: Vec<String>,
     pub sources: Vec<Source>,
+    /// Places in `sources` of the files with each module: several if features choose among them.
+    pub modules: BTreeMap<paths::Path, Vec<usize>>,
 }
 
 /// A source file without its test code.
@@ -71,6 +74,7 @@ fn crates_of(top: &Path, folder: &Path) -> Vec<Krate> {
             root: Path::new(first).with_extension("").display().to_string(),
             dependencies: dependencies.clone(),
             sources: Vec::new(),
+            modules: BTreeMap::new(),
         };
         krate.add(top, root, root.parent().expect("a file is in a folder"), paths::Path::new());
         krate
@@ -121,14 +125,13 @@ impl Krate {
         (place, module): (usize, paths::Path),
         items: &[Item],
     ) {
-        let mut body = Body::new(items);
-        for item in std::mem::take(&mut body.modules) {
+        for item in paths::modules(items) {
             let name = item.ident.to_string();
             let inner = [module.as_slice(), from_ref(&name)].concat();
             let below = folder.join(&name);
             if let Some((_, items)) = &item.content {
                 self.add_body(top, file, &below, (place, inner), items);
-            } else if let Some(stated) = stated_path(&item) {
+            } else if let Some(stated) = stated_path(item) {
                 let stated = file.parent().expect("a file is in a folder").join(stated);
                 self.add(top, &stated, stated.parent().expect("a file is in a folder"), inner);
             } else {
@@ -137,7 +140,8 @@ impl Krate {
                 self.add(top, &file, &below, inner);
             }
         }
-        self.sources[place].bodies.push((module, body));
+        self.modules.entry(module.clone()).or_default().push(place);
+        self.sources[place].bodies.push((module, Body::new(items)));
     }
 }
 

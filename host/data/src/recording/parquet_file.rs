@@ -20,7 +20,7 @@ use parquet::schema::types::{ColumnDescriptor, Type};
 
 use super::checksum;
 use super::columns::{Extra, Number, Values, ValuesMut};
-use super::{DatasetError, Recording, RecordingWriter};
+use super::{DatasetError, Recording};
 use crate::provenance::{FORMAT, Provenance};
 
 /// Key of the provenance in the file's metadata.
@@ -32,17 +32,6 @@ const MAGIC: &[u8; 4] = b"PAR1";
 pub(super) const GROUP_ROWS: usize = 1 << 18;
 
 impl Recording {
-    /// Writes the recording, atomically replacing an existing file.
-    ///
-    /// # Errors
-    /// If the recording is not valid, cannot be encoded or cannot be written.
-    pub fn save(&self, path: impl AsRef<Path>) -> Result<(), DatasetError> {
-        self.validate()?;
-        let names: Vec<_> = self.columns().iter().map(|column| column.0).collect();
-        let extras: Vec<_> = Extra::ALL.into_iter().filter(|extra| names.contains(&extra.name())).collect();
-        RecordingWriter::create(path.as_ref(), self.provenance.clone(), &extras)?.finish_with(self)
-    }
-
     /// Reads and checks a recording. Unknown columns are ignored.
     ///
     /// # Errors

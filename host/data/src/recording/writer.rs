@@ -25,6 +25,19 @@ pub struct RecordingWriter {
     rows: usize,
 }
 
+impl Recording {
+    /// Writes the recording, atomically replacing an existing file.
+    ///
+    /// # Errors
+    /// If the recording is not valid, cannot be encoded or cannot be written.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<(), DatasetError> {
+        self.validate()?;
+        let names: Vec<_> = self.columns().iter().map(|column| column.0).collect();
+        let extras: Vec<_> = Extra::ALL.into_iter().filter(|extra| names.contains(&extra.name())).collect();
+        RecordingWriter::create(path.as_ref(), self.provenance.clone(), &extras)?.finish_with(self)
+    }
+}
+
 impl RecordingWriter {
     /// Starts a recording with these optional columns.
     ///

@@ -2,29 +2,15 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde::{Deserialize, Serialize};
-
 use super::folder::{FIGURES, FarmFolder, save};
 use super::measure::measured_zero;
-use super::{FarmError, FarmRun, Outside, Simulators, Worker};
+use super::{FarmError, FarmRun, Outside, Simulators, UnitFigures, Worker};
 use data::recording::Recording;
 use learn::pipeline::PipelineError;
-use learn::pipeline::commission::{Checked, Figures};
+use learn::pipeline::commission::Checked;
 use learn::simulator::unit::valve_flows;
 use progress::Progress;
 use shared::calibration::Calibration;
-
-/// Figures of a unit's recording and simulator.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct UnitFigures {
-    /// The figures.
-    #[serde(flatten)]
-    pub figures: Figures,
-    /// Flow of the inspiratory valve at a quarter, half, three quarters and all of its command, L/s.
-    pub valve_flow: [f32; 4],
-    /// Why no controller is trained on the simulator; none if one may be.
-    pub unfit: Option<String>,
-}
 
 impl FarmRun<'_> {
     /// Fits the simulators that are missing, stores the calibrations on the devices, and returns what is outside the band.
