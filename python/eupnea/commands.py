@@ -1,4 +1,4 @@
-"""The commands of the `trainer`: the same options, the same defaults and, for the same seed, the same bits.
+"""The commands of `trainer` and `lab`: the same options, the same defaults and, for the same seed, the same bits.
 
 Every function takes the options of its command as keywords, with underscores in place of dashes: `breaths_of_learning=20` is
 `--breaths-of-learning 20`; `help(eupnea.evaluate)` lists them. It returns what `--json` writes, as a dictionary. Ctrl-C stops a
@@ -34,7 +34,7 @@ Result = dict[str, Any]
 
 
 def run(command: str, *files: PathLike, progress: Progress | bool = True, **options: Any) -> Result:
-    """Run any command of the trainer that writes JSON.
+    """Run any command of `lab` or `trainer` that writes JSON.
 
     Args:
         command: Name of the command, such as `"margins"`.
@@ -246,7 +246,7 @@ def _document() -> None:
     """Append the help of the command line to the documentation."""
     for function in (collect, fit, train, evaluate, robust, bound, judge, tune_pid, test_table, export):
         command = function.__name__.replace("_", "-")
-        function.__doc__ = f"{function.__doc__}\n\nHelp of `trainer {command}`:\n\n{_native.command_help(command)}"
+        function.__doc__ = f"{function.__doc__}\n\nHelp of `{command}` on the command line:\n\n{_native.command_help(command)}"
 
 
 _document()
