@@ -203,7 +203,8 @@ fn image_among(controller: &Path, others: &[&str]) -> anyhow::Result<Vec<u8>> {
         return Ok(image.to_vec());
     }
     if controller.extension().is_none() && !controller.exists() {
-        let names: Vec<_> = shipped::names().chain(others.iter().copied()).collect();
+        let mut names: Vec<&str> = shipped::names().collect();
+        names.extend(others);
         bail!("there is no controller {}: name a file, or one of {}", controller.display(), names.join(", "));
     }
     Ok(Learned::load(controller)?.image()?)
