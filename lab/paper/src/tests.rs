@@ -10,8 +10,10 @@ use crate::PaperError;
 use campaign::Share;
 use campaign::record::Options;
 use campaign::shards::RunFolder;
+use clap::ValueEnum;
 use laws::rl::compare::RlConfig;
 use learn::pipeline::PipelineConfig;
+use plant::bench::BenchConfig;
 use score::baselines::{Grid, Search};
 
 fn small(out: &Path, only: &[Experiment]) -> Reproduction {
