@@ -13,6 +13,7 @@ use shared::control::residual::{Residual, ResidualSpec};
 
 use super::response::Process;
 use super::*;
+use crate::response::ResponsePoint;
 
 const PERIOD_S: f64 = 1e-3;
 
