@@ -29,24 +29,10 @@ fn a_command_says_what_it_makes() {
         ("train --out a", folder("a")),
         ("train-family --out a", folder("a")),
         ("commission --out a", folder("a")),
-        ("sweep a.toml", folder("out/sweep")),
-        ("sweep a.toml --out a --merge", folder("a")),
-        ("sweep a.toml --out a --shard 1/2", Makes::Shard),
-        ("reproduce --shard 1/2 --out a", Makes::Shard),
-        ("torture --out a --merge", folder("a")),
-        ("torture --out a", Makes::Shard),
-        ("torture --shard 1/2 --out a", Makes::Shard),
-        ("torture --json b.json", Makes::Experiment),
-        ("endure", Makes::Experiment),
-        ("robust", Makes::Experiment),
         ("tune-pid", Makes::Experiment),
-        ("tune-rival gated", Makes::Experiment),
-        ("bound", Makes::Experiment),
+        ("tune-pid --shard 1/2 --out a", Makes::Shard),
         ("evaluate", Makes::Experiment),
-        ("faults", Makes::Experiment),
         ("fit --data a", Makes::Experiment),
-        ("margins", Makes::Experiment),
-        ("test-table", Makes::Experiment),
         ("collect --out a.parquet --json b.json", Makes::Nothing),
         ("inspect a.bin --json b.json", Makes::Nothing),
     ] {
@@ -145,7 +131,7 @@ fn help_and_options_are_those_of_the_command_line() {
     assert!(help::<Cli>("nonsense").is_none() && options::<Cli>("nonsense").is_none());
     let repeated = |command: &str, option: &str| options::<Cli>(command).unwrap().get(option).copied();
     assert_eq!(repeated("evaluate", "breaths-of-learning"), Some(false));
-    assert_eq!((repeated("fit", "data"), repeated("reproduce", "only")), (Some(true), Some(true)));
+    assert_eq!(repeated("fit", "data"), Some(true));
     assert_eq!((repeated("evaluate", "pips"), repeated("evaluate", "gains")), (Some(false), Some(false)));
     assert_eq!(repeated("evaluate", "gain"), None);
 }

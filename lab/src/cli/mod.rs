@@ -60,12 +60,41 @@ commands! {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use clap::CommandFactory;
+    use host::command::Makes;
 
     use super::*;
 
     #[test]
     fn the_arguments_of_all_commands_are_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_command_says_what_it_makes() {
+        let folder = |path| Makes::Folder(Path::new(path));
+        for (line, makes) in [
+            ("sweep a.toml", folder("out/sweep")),
+            ("sweep a.toml --out a --merge", folder("a")),
+            ("sweep a.toml --out a --shard 1/2", Makes::Shard),
+            ("reproduce --shard 1/2 --out a", Makes::Shard),
+            ("torture --out a --merge", folder("a")),
+            ("torture --out a", Makes::Shard),
+            ("torture --shard 1/2 --out a", Makes::Shard),
+            ("torture --json b.json", Makes::Experiment),
+            ("endure", Makes::Experiment),
+            ("robust", Makes::Experiment),
+            ("tune-rival gated", Makes::Experiment),
+            ("bound", Makes::Experiment),
+            ("faults", Makes::Experiment),
+            ("margins", Makes::Experiment),
+            ("test-table", Makes::Experiment),
+            ("evaluate", Makes::Experiment),
+        ] {
+            let cli = Cli::try_parse_from(format!("lab {line}").split(' ')).unwrap();
+            assert_eq!(cli.chosen().output().makes, makes, "{line}");
+        }
     }
 }

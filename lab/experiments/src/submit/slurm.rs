@@ -197,7 +197,7 @@ mod tests {
     #[test]
     fn the_scripts_run_each_shard_and_then_the_merge() {
         let job = Job {
-            program: "/opt/trainer".into(),
+            program: "/opt/lab".into(),
             arguments: ["torture", "--breaths", "6000"].map(str::to_owned).to_vec(),
             out: "/data/my run".into(),
             shards: 40,
