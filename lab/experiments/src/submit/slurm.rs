@@ -41,7 +41,7 @@ impl Slurm {
     /// Script of the array of these shards.
     pub fn array_script(&self, job: &Job, shards: &[u64]) -> String {
         format!(
-            "#!/bin/sh\n#SBATCH --job-name=trainer-{}\n#SBATCH --array={}\n#SBATCH --output={}\n#SBATCH --requeue\n\
+            "#!/bin/sh\n#SBATCH --job-name=eupnea-{}\n#SBATCH --array={}\n#SBATCH --output={}\n#SBATCH --requeue\n\
              #SBATCH --open-mode=append\n{}{}exec {}\n",
             job.arguments.first().map_or("", String::as_str),
             ranges(shards),
@@ -55,7 +55,7 @@ impl Slurm {
     /// Script of the job that merges.
     pub fn merge_script(&self, job: &Job) -> String {
         format!(
-            "#!/bin/sh\n#SBATCH --job-name=trainer-merge\n#SBATCH --output={}\n#SBATCH --requeue\n{}{}{}\nstatus=$?\n\
+            "#!/bin/sh\n#SBATCH --job-name=eupnea-merge\n#SBATCH --output={}\n#SBATCH --requeue\n{}{}{}\nstatus=$?\n\
              echo $status >{}\nexit $status\n",
             quoted(&text(&job.merge_log())),
             self.options(),
