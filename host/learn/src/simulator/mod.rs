@@ -6,7 +6,7 @@
 //! command given in a block has no effect before the next block, so one network step covers ten control ticks.
 //!
 //! [`state_space`] (one plant) and [`hybrid`] (many lungs with known nominal R and C) are ours; [`stitched`] is the
-//! architecture of Suo et al. 2021, and [`unit`] the physical model of a family. What they have in common is in [`design`].
+//! architecture of Suo et al. 2021, and [`mod@unit`] the physical model of a family. What they have in common is in [`design`].
 //! All users of a simulator (its own fit, the training of a controller, an agent) run it through a [`rollout::Rollout`].
 
 pub(crate) mod block;

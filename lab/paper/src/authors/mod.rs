@@ -3,7 +3,7 @@
 //! It allows a comparison with the authors' figures under their conditions: a control period of 30 ms, 29 samples of an
 //! inspiration, each read before the command that follows it, and a breath that starts at 0 cmH2O. It has no dead time,
 //! no noise and no expiration. Its valve is almost closed below 15 % and fully open at 29 %, and a rise takes a few
-//! periods at full flow. [`Balloon`](plant::balloon::Balloon) is the plant, [`score`] the score of any [`Controller`],
+//! periods at full flow. [`Balloon`](plant::balloon::Balloon) is the plant, [`score()`] the score of any [`Controller`],
 //! [`baseline`] has reference scores, and [`ventilator::BalloonSource`] runs breaths on it.
 
 pub mod baseline;
