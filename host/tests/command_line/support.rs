@@ -42,7 +42,7 @@ impl Place {
 
     /// The program of a command with arguments separated by blanks.
     pub fn command(&self, line: &str) -> Command {
-        let mut command = self.program(&crate::program_of(line));
+        let mut command = self.program(crate::program_of(line));
         command.args(line.split_whitespace()).env_remove("EUPNEA_LOG").env("COLUMNS", "100");
         command
     }
