@@ -1,5 +1,4 @@
-//! Arguments that commands of the laboratory share: any control law in the place of a controller, and the program of a command.
+//! Arguments that commands of the laboratory share: any control law in the place of a controller.
 
 pub mod law;
 pub mod policy;
-pub mod program;

@@ -8,6 +8,7 @@ mod endure;
 mod evaluate;
 mod faults;
 mod margins;
+pub mod program;
 mod reproduce;
 mod robust;
 mod runs;

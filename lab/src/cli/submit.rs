@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 
 use super::Cli;
-use crate::args::program::{is_ours, program_of};
+use super::program::{is_ours, program_of};
 use experiments::submit::parallel::Parallel;
 use experiments::submit::slurm::{Slurm, Submitted};
 use experiments::submit::{Job, SubmitError};

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::args::program::program_of;
+use super::program::program_of;
 use campaign::Campaign;
 use experiments::sweep::{RunResult, RunResults, Sweep, SweepWork, in_words};
 use host::args::shards::ShardArgs;

@@ -18,7 +18,7 @@ mod test_table;
 
 use std::path::{Path, PathBuf};
 
-use lab::args::program::is_ours;
+use lab::cli::program::is_ours;
 
 /// The program of a command line: the laboratory's or, for a command that it does not have, the trainer beside it.
 fn program_of(line: &str) -> PathBuf {

@@ -12,7 +12,7 @@ mod support;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use lab::args::program::is_ours;
+use lab::cli::program::is_ours;
 use support::Place;
 
 /// A command of a second or two.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use clap::CommandFactory;
 
-use crate::cli::Cli;
+use super::Cli;
 
 /// The program that has a command: this one if it has the command, otherwise the trainer.
 ///
