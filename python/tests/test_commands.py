@@ -124,7 +124,7 @@ def test_ctrl_c_stops_a_command_and_keeps_its_results(tmp_path, interruptible):
 
 
 def test_commands_run_side_by_side_and_one_stops_without_the_other(tmp_path):
-    class Enough(Exception):
+    class EnoughError(Exception):
         pass
 
     begun, evaluated = threading.Event(), threading.Event()
@@ -132,10 +132,10 @@ def test_commands_run_side_by_side_and_one_stops_without_the_other(tmp_path):
     def stop_after_the_other(stage, done, total):
         begun.set()
         if evaluated.is_set():
-            raise Enough
+            raise EnoughError
 
     def collect():
-        with pytest.raises(Enough):
+        with pytest.raises(EnoughError):
             eupnea.collect(out=tmp_path / "stopped.parquet", breaths=20 * BREATHS, progress=stop_after_the_other)
 
     alone = [eupnea.evaluate(gains=(3, 30), pips=[pip], breaths=1) for pip in (15, 20)]
