@@ -26,10 +26,10 @@ sweep.toml, here twelve runs of the demo:
   seed = [1, 2, 3, 4, 5, 6]
 
 The command can be any with --json of `lab` or, if it has none of that name, of `trainer`, such as
-demo, train, train-family, robust or evaluate; figures are numbers in its JSON. {out} stands for a folder of the run's own. Option names are those of the
-command line, without the dashes; true and false set or omit an option without a value. There are
-as many runs at a time as cores, with one core each. Ctrl-C loses no complete run: the same command
-continues.")]
+demo, train, train-family, robust or evaluate; figures are numbers in its JSON. {out} stands for a
+folder of the run's own. Option names are those of the command line, without the dashes; true and
+false set or omit an option without a value. There are as many runs at a time as cores, with one
+core each. Ctrl-C loses no complete run: the same command continues.")]
 pub struct Args {
     /// Description in TOML
     #[arg(value_name = "FILE.toml")]
