@@ -12,7 +12,7 @@ fn shard_in(mount: &str) -> (String, String) {
     let script = format!(
         "mount -t tmpfs -o {mount} none small || exit 77; '{}' {COMMAND} --shard 0/2 --out small; status=$?; \
          find small -name '*.tmp' -o -name '0-of-2.json'; exit $status",
-        env!("CARGO_BIN_EXE_trainer")
+        env!("CARGO_BIN_EXE_lab")
     );
     let output =
         place.program("unshare").args(["--map-root-user", "--mount", "sh", "-c", &script]).output().unwrap();

@@ -21,7 +21,7 @@ fn tasks_of_hyperqueue_equal_the_whole_run_once_they_are_merged() {
     };
     let mut tasks = place.program("timeout");
     tasks.args(["--kill-after=5", "120", PYTHON, SCRIPT]);
-    tasks.arg(folder("server")).args(["7", env!("CARGO_BIN_EXE_trainer")]);
+    tasks.arg(folder("server")).args(["7", env!("CARGO_BIN_EXE_lab")]);
     tasks.args(COMMAND.split(' ')).args(["--out", "run"]).env("TMPDIR", folder("temporary"));
     let output = tasks.output().unwrap();
     assert!(output.status.success(), "{}", text(&output.stderr));
