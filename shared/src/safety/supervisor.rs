@@ -222,7 +222,8 @@ impl Supervisor {
         chosen.doubtful
     }
 
-    /// What a tick may use after its checks.
+    /// What a tick may use after its checks. Inlined: it returns many values, and `check` is its only caller.
+    #[inline]
     fn belief<'a>(
         &self,
         state: &SupervisorState,

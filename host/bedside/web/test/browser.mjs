@@ -86,6 +86,24 @@ export const painted = (page, strip) => page.evaluate((name) => {
   return count;
 }, strip);
 
+/**
+ * Counts, from now on, how often the page finds a device silent. An overloaded machine holds up even the states of a fake device; the page
+ * then rightly raises "No data", which ends a pause of the sound.
+ */
+export const countSilences = (page) => page.evaluate(() => {
+  window.silences = 0;
+  for (const device of window.eupnea.devices) {
+    let since = device.silentSince;
+    const set = (value) => {
+      if (value !== null && since === null) window.silences += 1;
+      since = value;
+    };
+    Object.defineProperty(device, "silentSince", { get: () => since, set });
+  }
+});
+
+export const silences = (page) => page.evaluate(() => window.silences);
+
 /** Waits until a picture of the page has been drawn from what it knows now. */
 export const drawn = (page) => page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
 
