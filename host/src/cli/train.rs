@@ -17,12 +17,13 @@ use crate::args::plant::{PlantArgs, period_us};
 use crate::args::preset::Preset;
 use crate::args::settings::SettingsArgs;
 use crate::command::{Command, Context, Makes, Output, OutputArgs, write};
+use data::workspace::Workspace;
 use learn::controller::authors::{AuthorsController, ERROR_SPACING_MAX_US};
 use learn::controller::learned::Learned;
 use learn::controller::{ControllerArchitecture, CurvePoint, TrainConfig, Trainable, Weighting};
 use learn::pipeline::{
-    Folder, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches_as,
-    run_on_plant, train_on_simulators,
+    PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches_as, run_on_plant,
+    train_on_simulators,
 };
 use learn::simulator::model::Simulator;
 use show::report::{Cell, Table};
@@ -369,7 +370,7 @@ impl Args {
         plant: Option<&SharedLink>,
         context: &Context<'_>,
     ) -> anyhow::Result<Training<C>> {
-        let folder = Folder::new(&self.result.out);
+        let folder = Workspace::new(&self.result.out);
         let outcome = if let Some(link) = plant {
             context.progress(|progress| run_on_plant(config, link, Some(&folder), progress))
         } else {
@@ -392,7 +393,7 @@ impl Args {
         simulators: &[Simulator],
         context: &Context<'_>,
     ) -> anyhow::Result<Training<C>> {
-        let folder = Folder::new(&self.result.out);
+        let folder = Workspace::new(&self.result.out);
         let trained = context
             .progress(|progress| train_on_simulators(config, simulators, &folder, progress))
             .map_err(|error| match error {

@@ -6,8 +6,7 @@ use shared::control::features::{CLOCK, FEATURES, FeatureSpec, LEAKY, PAST_COMMAN
 use shared::control::pid::{Pid, PidGains};
 use shared::explore::Exploration;
 
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{Piece, Study, piece};
 use super::{Reproduction, lungs};
 use crate::error::Result;
 use learn::controller::authors::AuthorsController;

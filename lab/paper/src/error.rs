@@ -1,15 +1,12 @@
 //! Errors of the experiments.
 
-use std::io;
-use std::path::{Path, PathBuf};
-
 use shared::control::pid::GainError;
 use shared::control::residual::ResidualError;
 use thiserror::Error;
 
-use campaign::CampaignError;
 use data::recording::DatasetError;
 use data::tensors::TensorError;
+use data::workspace::WorkspaceError;
 use laws::rivals::parameter::RivalError;
 use learn::controller::learned::LearnedError;
 use learn::pipeline::PipelineError;
@@ -69,18 +66,9 @@ pub enum PaperError {
     /// A report could not be written.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// The folder belongs to another run.
-    #[error(
-        "{0} contains a run with another seed, budget or choice of lungs: choose another folder or remove it"
-    )]
-    OtherRun(String),
-    /// The work cannot be divided, kept or merged.
+    /// The folder belongs to another run, or a file cannot be used.
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
-    /// Any other file could not be used.
-    #[error("cannot use {path}: {source}")]
-    #[expect(missing_docs, reason = "the message names every field")]
-    File { path: PathBuf, source: io::Error },
+    Workspace(#[from] WorkspaceError),
     /// Stopped; the folder contains the results so far.
     #[error("stopped; run the same command again to continue")]
     Stopped,
@@ -88,11 +76,3 @@ pub enum PaperError {
 
 /// Result of a study's steps.
 pub(crate) type Result<T, E = PaperError> = std::result::Result<T, E>;
-
-impl PaperError {
-    /// Wraps an I/O error with the path of its file.
-    pub(crate) fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
-        let path = path.to_owned();
-        move |source| Self::File { path, source }
-    }
-}

@@ -6,8 +6,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{Piece, Study, piece};
 use super::{Reproduction, lungs};
 use crate::error::{PaperError, Result};
 use engine::LANES;
@@ -123,9 +122,10 @@ fn ours(
     let samples = |iteration: usize| (LANES * iteration) as u64 * ticks;
     let iterations = train.iterations;
     let training = Training::new(config.residual(), &[PlantModels { trained_on, held_out }], train, None)?;
-    let (trained, curve) = pipeline::train(training, iterations, None, &study.progress.of("ours"))?;
-    let curve = curve.iter().map(|point| (samples(point.iteration), point.validation)).collect();
-    let controller = Controller::Residual(trained.controller);
+    let (plant, seed) = (held_out.plant.clone(), study.reproduction.seed);
+    let trained = pipeline::train(training, plant, seed, None, &study.progress.of("ours"))?;
+    let curve = trained.curve.iter().map(|point| (samples(point.iteration), point.validation)).collect();
+    let controller = Controller::Residual(trained.learned.controller);
     Ok(LearnerResult {
         score: study.evaluate(bench, &controller)?.mean.score,
         samples: samples(iterations),

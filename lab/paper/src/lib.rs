@@ -20,13 +20,13 @@ mod reproduction;
 mod results;
 mod rivals;
 pub mod shards;
-mod side_by_side;
 mod study;
 #[cfg(test)]
 mod tests;
 mod tracking;
 mod unseen;
 
+use campaign::on_threads;
 use error::Result;
 use progress::Progress;
 
@@ -39,8 +39,7 @@ pub use results::{
     UnseenFigures,
 };
 pub use rivals::{Contender, Contest};
-use side_by_side::{Piece, piece, side_by_side};
-use study::Study;
+use study::{Piece, Study, piece};
 
 impl Experiment {
     /// The experiments in groups: those of a group need only earlier groups. Within a group, long pieces come first.
@@ -114,12 +113,12 @@ pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Resul
         for experiment in group.iter().filter(|experiment| experiment.runs_for(&reproduction.only)) {
             pieces.extend(experiment.pieces(&study)?);
         }
-        side_by_side(&pieces)?;
+        on_threads(rayon::current_num_threads(), pieces.iter(), |piece| piece())?;
     }
     let results = Results::gather(&study)?;
-    study.write("results.json", &results)?;
+    study.folder.save_indented("results.json", &results)?;
     let report = report::report(&study, &results)?;
-    report.save(study.path("report.html"))?;
+    report.save(study.folder.path("report.html"))?;
     report.save_markdown(&reproduction.out, "results")?;
     Ok(results)
 }

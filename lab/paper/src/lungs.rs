@@ -6,11 +6,11 @@ use shared::control::Controller;
 use shared::control::pid::PidGains;
 
 use super::Reproduction;
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{CONTROLLER, Piece, Study, piece};
 use crate::error::{PaperError, Result};
+use data::workspace::Workspace;
 use learn::controller::Trainable;
-use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError};
+use learn::pipeline::{self, Outcome, PipelineConfig, PipelineError};
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::baselines::{Best, tune_pid};
@@ -114,12 +114,12 @@ pub(super) fn train(
 pub(super) fn train_by<C: Trainable>(
     study: &Study<'_>,
     folder: &str,
-    run: impl FnOnce(&Folder, &Progress<'_>) -> Result<Outcome<C>, PipelineError>,
+    run: impl FnOnce(&Workspace, &Progress<'_>) -> Result<Outcome<C>, PipelineError>,
 ) -> Result<Outcome<C>> {
-    let outcome = run(&Folder::new(study.path(folder)), &study.progress.of(folder))?;
+    let outcome = run(&study.folder.folder(folder), &study.progress.of(folder))?;
     if !outcome.complete {
         return Err(PaperError::Stopped);
     }
-    outcome.learned.save(&study.path(folder).join("controller.safetensors"))?;
+    outcome.learned.save(&study.folder.folder(folder).path(CONTROLLER))?;
     Ok(outcome)
 }

@@ -5,8 +5,7 @@
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{Piece, Study, piece};
 use super::unseen;
 use crate::error::{PaperError, Result};
 use laws::rivals::Rival;

@@ -4,8 +4,7 @@
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{Piece, Study, piece};
 use super::{Reproduction, generalist};
 use crate::error::{PaperError, Result};
 use plant::bench::{BenchConfig, CompartmentConfig};

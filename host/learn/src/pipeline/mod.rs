@@ -6,10 +6,18 @@
 //!
 //! With a folder, every stage saves its result there, and a stopped run continues where it stopped; it then gives the
 //! same files as an uninterrupted run.
+//!
+//! ```text
+//! run.json                     configuration; a run with a different one is refused
+//! round-0/recording-P.parquet  breaths of the round, from plant P
+//! round-0/recording-P.partial.parquet  the breaths before the plant failed
+//! round-0/simulator-P-N.safetensors, round-0/fit.json
+//! round-0/training.json        checkpoint of the training
+//! round-0/controller.safetensors
+//! ```
 
 pub mod commission;
 pub mod family;
-mod folder;
 mod stages;
 mod training;
 
@@ -34,13 +42,13 @@ use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
 use data::recording::{DatasetError, Recording};
 use data::tensors::TensorError;
+use data::workspace::{Workspace, WorkspaceError};
 use plant::bench::BenchConfig;
 use progress::Progress;
 use ventilator::collect::{CollectConfig, CollectError};
 use ventilator::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 
-pub use folder::Folder;
-pub use training::{TrainedOnce, train, train_on_simulators};
+pub use training::{TrainedOnce, checksum, train, train_on_simulators};
 
 /// Control period of the paper's authors, microseconds.
 pub const PAPER_PERIOD_US: u32 = 30_000;
@@ -192,19 +200,9 @@ pub enum PipelineError {
         /// Number of breaths needed.
         needed: usize,
     },
-    /// The folder belongs to another run.
-    #[error(
-        "{0} contains a run on another plant, or with another seed or configuration: choose another folder or remove it"
-    )]
-    OtherRun(String),
-    /// A state file of the folder cannot be read or written.
-    #[error("{path}: {reason}")]
-    Folder {
-        /// Path of the file.
-        path: String,
-        /// The problem.
-        reason: String,
-    },
+    /// The folder belongs to another run, or cannot be used.
+    #[error(transparent)]
+    Workspace(#[from] WorkspaceError),
     /// A unit must not be commissioned.
     #[error(transparent)]
     Commission(#[from] commission::Problem),
@@ -314,7 +312,7 @@ pub type MakeSource<'a, L = Controller> = &'a (dyn Fn(u64) -> Result<Box<dyn Sou
 pub fn run(
     config: &PipelineConfig,
     sources: &[MakeSource<'_>],
-    folder: Option<&Folder>,
+    folder: Option<&Workspace>,
     progress: &Progress<'_>,
 ) -> Result<Outcome, PipelineError> {
     run_as(config, sources, folder, progress)
@@ -329,7 +327,7 @@ pub fn run(
 pub fn run_as<C: Trainable>(
     config: &PipelineConfig,
     sources: &[MakeSource<'_, C::Law>],
-    folder: Option<&Folder>,
+    folder: Option<&Workspace>,
     progress: &Progress<'_>,
 ) -> Result<Outcome<C>, PipelineError> {
     config.specification::<C>()?;
@@ -352,7 +350,7 @@ pub fn run_as<C: Trainable>(
 pub fn run_on_benches(
     config: &PipelineConfig,
     benches: &[BenchConfig],
-    folder: Option<&Folder>,
+    folder: Option<&Workspace>,
     progress: &Progress<'_>,
 ) -> Result<Outcome, PipelineError> {
     run_on_benches_as(config, benches, folder, progress)
@@ -365,7 +363,7 @@ pub fn run_on_benches(
 pub fn run_on_benches_as<C: Trainable>(
     config: &PipelineConfig,
     benches: &[BenchConfig],
-    folder: Option<&Folder>,
+    folder: Option<&Workspace>,
     progress: &Progress<'_>,
 ) -> Result<Outcome<C>, PipelineError> {
     let base = config.base::<C>()?;
@@ -389,7 +387,7 @@ pub fn run_on_benches_as<C: Trainable>(
 pub fn run_on_plant<C: Trainable>(
     config: &PipelineConfig,
     link: &SharedLink,
-    folder: Option<&Folder>,
+    folder: Option<&Workspace>,
     progress: &Progress<'_>,
 ) -> Result<Outcome<C>, PipelineError> {
     let base = config.base::<C>()?;
@@ -397,6 +395,11 @@ pub fn run_on_plant<C: Trainable>(
         Ok(Box::new(PlantSource::new(link.clone(), base.clone(), config.period_us, seed)))
     };
     run_as(config, &[&source], folder, progress)
+}
+
+/// The part of a round in the folder of a run.
+fn of_round(folder: &Workspace, round: usize) -> Workspace {
+    folder.folder(&format!("round-{round}"))
 }
 
 #[cfg(test)]

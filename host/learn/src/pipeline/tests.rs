@@ -37,7 +37,7 @@ fn source(config: &PipelineConfig) -> impl Fn(u64) -> Result<Box<dyn Source>, So
 }
 
 fn run_small(folder: Option<&Path>, progress: &Progress<'_>) -> Result<Outcome, PipelineError> {
-    let (config, folder) = (small(), folder.map(Folder::new));
+    let (config, folder) = (small(), folder.map(Workspace::new));
     run(&config, &[&source(&config)], folder.as_ref(), progress)
 }
 
@@ -142,9 +142,9 @@ fn a_folder_of_another_run_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     whole(Some(folder.path()));
     let other = PipelineConfig { seed: 2, ..small() };
-    let folder = Folder::new(folder.path());
+    let folder = Workspace::new(folder.path());
     let result = run(&other, &[&source(&other)], Some(&folder), &Progress::silent());
-    assert!(matches!(result, Err(PipelineError::OtherRun(_))));
+    assert!(matches!(result, Err(PipelineError::Workspace(WorkspaceError::OtherRun { .. }))));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use progress::Progress;
 use serde::{Deserialize, Serialize};
 
 use super::{Job, SubmitError, THREADS, answer, quoted, run, text};
-use campaign::CampaignError;
+use campaign::WorkspaceError;
 use data::files::{read_json, write_json};
 
 /// What to do without Slurm.
@@ -71,7 +71,7 @@ impl Slurm {
     /// A folder that cannot be written or is divided differently, or a refusal of `sbatch`.
     pub fn submit(&self, job: &Job) -> Result<Submitted, SubmitError> {
         let (open, kept) = (job.open()?, job.log().join("jobs.json"));
-        let earlier = read_json::<Submitted>(&kept).map_err(CampaignError::file(&kept))?;
+        let earlier = read_json::<Submitted>(&kept).map_err(WorkspaceError::file(&kept))?;
         if let Some(earlier) = earlier
             && !Queue::default().left(&earlier.merge)?
         {
@@ -95,7 +95,7 @@ impl Slurm {
             }
             Submitted { array: Some(array), merge: merge? }
         };
-        write_json(&kept, &jobs).map_err(CampaignError::file(&kept))?;
+        write_json(&kept, &jobs).map_err(WorkspaceError::file(&kept))?;
         Ok(jobs)
     }
 

@@ -8,6 +8,7 @@ use shared::explore::Exploration;
 use super::*;
 use crate::controller::shipped;
 use crate::pipeline::tests::score;
+use data::workspace::WorkspaceError;
 use plant::bench::BenchConfig;
 use progress::Event;
 use ventilator::BenchSource;
@@ -35,13 +36,13 @@ fn adult() -> Residual {
 }
 
 fn source(run: &CommissionRun, bench: &BenchConfig) -> BenchSource {
-    let (pid, config) = (run.pid(DEFAULT_PERIOD_US).unwrap(), run.collection());
+    let (pid, config) = (run.pid(DEFAULT_PERIOD_US).unwrap(), run.collection(0));
     BenchSource::new(bench, pid, &config.settings, DEFAULT_PERIOD_US, config.seed).unwrap()
 }
 
 fn recording(run: &CommissionRun) -> Recording {
     let (folder, bench) = (tempfile::tempdir().unwrap(), unlike_the_nominal_one());
-    run.record(&mut source(run, &bench), &Folder::new(folder.path()), &Progress::silent()).unwrap()
+    run.record(&mut source(run, &bench), &Workspace::new(folder.path()), &Progress::silent()).unwrap()
 }
 
 fn commissioned(run: &CommissionRun) -> Commissioned {
@@ -136,7 +137,7 @@ fn a_breath_that_the_pressure_limit_ends_ends_the_recording_which_is_refused_wit
         ..Exploration::default()
     });
     let (folder, stiff) = (tempfile::tempdir().unwrap(), BenchConfig::paper(50.0, 10.0));
-    let folder = Folder::new(folder.path());
+    let folder = Workspace::new(folder.path());
     let recording = run.record(&mut source(&run, &stiff), &folder, &Progress::silent()).unwrap();
     assert_eq!(recording.breaths().len() - recording.inspirations().len(), 1);
     let refused = run.check(&CommissionRun::recorded(&folder).unwrap(), &Progress::silent()).unwrap_err();
@@ -147,7 +148,7 @@ fn a_breath_that_the_pressure_limit_ends_ends_the_recording_which_is_refused_wit
 fn a_stopped_recording_is_repeated_and_a_stopped_training_goes_on() {
     let (run, bench) = (small(), unlike_the_nominal_one());
     let place = tempfile::tempdir().unwrap();
-    let folder = Folder::new(place.path());
+    let folder = Workspace::new(place.path());
     let stop = AtomicBool::new(false);
     let at_ten = |event: &Event<'_>| {
         let enough = if event.stage == COLLECT { 3 } else { 10 };
@@ -156,7 +157,7 @@ fn a_stopped_recording_is_repeated_and_a_stopped_training_goes_on() {
     let stopping = Progress::new(&at_ten, &stop);
     let stopped = run.record(&mut source(&run, &bench), &folder, &stopping).unwrap_err();
     assert!(matches!(stopped, PipelineError::Stopped));
-    assert_eq!(Recording::load(folder.whole(PARTIAL)).unwrap().inspirations().len(), 3);
+    assert_eq!(Recording::load(folder.path(PARTIAL)).unwrap().inspirations().len(), 3);
     assert!(CommissionRun::recorded(&folder).is_err());
     let recording = run.record(&mut source(&run, &bench), &folder, &Progress::silent()).unwrap();
     let unit = run.check(&recording, &Progress::silent()).unwrap().simulator;
@@ -171,7 +172,7 @@ fn a_stopped_recording_is_repeated_and_a_stopped_training_goes_on() {
 #[test]
 fn a_folder_of_another_unit_seed_or_controller_is_refused() {
     let place = tempfile::tempdir().unwrap();
-    let folder = Folder::new(place.path());
+    let folder = Workspace::new(place.path());
     let claim = |run: &CommissionRun, unit: &str, start: &Residual| run.claim(&folder, unit, start);
     claim(&small(), "unit 7", &adult()).unwrap();
     claim(&small(), "unit 7", &adult()).unwrap();
@@ -182,6 +183,6 @@ fn a_folder_of_another_unit_seed_or_controller_is_refused() {
         claim(&other, "unit 7", &adult()),
         claim(&small(), "unit 7", &blank),
     ] {
-        assert!(matches!(refused, Err(PipelineError::OtherRun(_))));
+        assert!(matches!(refused, Err(PipelineError::Workspace(WorkspaceError::OtherRun { .. }))));
     }
 }
