@@ -18,7 +18,7 @@ use data::recording::Recording;
 use data::workspace::Workspace;
 use learn::controller::CurvePoint;
 use learn::pipeline::commission::{
-    BREATHS_NEEDED, CommissionRun, Commissioned, Figures, OPEN_LOOP_LIMIT, RECORDING, Winner,
+    BREATHS_NEEDED, CommissionRun, Commissioned, Figures, OPEN_LOOP_LIMIT, Winner,
 };
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 use study::farm::{Alone, OnBench, Scores};
@@ -177,9 +177,9 @@ impl Args {
         start: &Chosen,
         context: &Context<'_>,
     ) -> anyhow::Result<Recording> {
-        let Alone { run, folder, .. } = unit;
+        let run = &unit.run;
         if let Some(recording) = unit.recorded()? {
-            stage(1, &format!("collect: {} is complete", folder.path(RECORDING).display()), context);
+            stage(1, &format!("collect: {} is complete", unit.recording().display()), context);
             return Ok(recording);
         }
         let plant = self.source.plant.connect()?;

@@ -66,7 +66,7 @@ impl Command for Args {
         let folder = Workspace::new(&self.result.out);
         let config = self.config(&family);
         let trained = context.progress(|progress| config.run(&family, Some(&folder), progress))?;
-        let summary = self.result.once(trained, context)?;
+        let summary = self.result.saved(&trained, Vec::new(), context)?;
         summary.show("validation units, geometric mean over the first breaths", context);
         Ok(Some(summary))
     }

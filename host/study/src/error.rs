@@ -13,6 +13,7 @@ use device::upload::UploadError;
 use learn::controller::learned::LearnedError;
 use learn::pipeline::PipelineError;
 use plant::bench::BenchError;
+use plant::bench::family::FamilyError;
 use score::baselines::TuneError;
 use score::bound::BoundError;
 use show::report::ReportError;
@@ -93,6 +94,12 @@ pub enum StudyError {
     /// Weights cannot be signed.
     #[error("cannot sign the weights: {0}")]
     Sign(String),
+    /// A family of plants is not valid.
+    #[error(transparent)]
+    Family(#[from] FamilyError),
+    /// Work that only some studies do failed.
+    #[error(transparent)]
+    Other(Box<dyn std::error::Error + Send + Sync>),
     /// Stopped; the folder contains the results so far.
     #[error("stopped; run the same command again to continue")]
     Stopped,
@@ -102,4 +109,11 @@ pub enum StudyError {
 }
 
 /// Result of a study's steps.
-pub(crate) type Result<T, E = StudyError> = std::result::Result<T, E>;
+pub type Result<T, E = StudyError> = std::result::Result<T, E>;
+
+impl StudyError {
+    /// Wraps an error of work that only some studies do.
+    pub fn other(error: impl std::error::Error + Send + Sync + 'static) -> Self {
+        Self::Other(Box::new(error))
+    }
+}

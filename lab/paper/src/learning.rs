@@ -8,7 +8,6 @@ use shared::control::Controller;
 
 use super::study::{Piece, Study, piece};
 use super::{Reproduction, lungs};
-use crate::error::{PaperError, Result};
 use engine::LANES;
 use laws::rl::compare::{Algorithm, RlConfig, train};
 use laws::rl::policy::evaluate;
@@ -16,6 +15,7 @@ use learn::controller::{PlantModels, TrainConfig, Training};
 use learn::pipeline::{self, PipelineConfig};
 use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
+use study::{Result, StudyError};
 
 /// Gradient steps between two validations of our training.
 const OURS_VALIDATED_EVERY: usize = 10;
@@ -94,7 +94,7 @@ fn rival(
     algorithm: Algorithm,
     simulators: &[Simulator],
 ) -> Result<LearnerResult> {
-    let (held_out, trained_on) = simulators.split_last().ok_or(PaperError::Stopped)?;
+    let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
     let trained = train(algorithm, trained_on, held_out, &config, &study.progress.of(algorithm.name()))?;
     Ok(LearnerResult {
@@ -111,7 +111,7 @@ fn ours(
     config: &PipelineConfig,
     simulators: &[Simulator],
 ) -> Result<LearnerResult> {
-    let (held_out, trained_on) = simulators.split_last().ok_or(PaperError::Stopped)?;
+    let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let train = TrainConfig {
         batch: LANES,
         validate_every: OURS_VALIDATED_EVERY,

@@ -9,7 +9,6 @@ mod ablations;
 pub mod authors;
 mod balloon;
 mod changes;
-mod error;
 mod generalist;
 mod iso;
 mod learning;
@@ -27,11 +26,11 @@ mod tracking;
 mod unseen;
 
 use campaign::on_threads;
-use error::Result;
 use progress::Progress;
 
+use self::study::{Piece, Study, piece};
+use ::study::Result;
 pub use ablations::Ablation;
-pub use error::PaperError;
 pub use report::{headline, lungs_table};
 pub use reproduction::{Budget, Experiment, Reproduction};
 pub use results::{
@@ -39,7 +38,6 @@ pub use results::{
     UnseenFigures,
 };
 pub use rivals::{Contender, Contest};
-use study::{Piece, Study, piece};
 
 impl Experiment {
     /// The experiments in groups: those of a group need only earlier groups. Within a group, long pieces come first.

@@ -7,7 +7,6 @@ use shared::control::pid::PidGains;
 
 use super::Reproduction;
 use super::study::{CONTROLLER, Piece, Study, piece};
-use crate::error::{PaperError, Result};
 use data::workspace::Workspace;
 use learn::controller::Trainable;
 use learn::pipeline::{self, Outcome, PipelineConfig, PipelineError};
@@ -15,6 +14,7 @@ use plant::bench::BenchConfig;
 use progress::Progress;
 use score::baselines::{Best, tune_pid};
 use score::evaluate::{Evaluation, Plan};
+use study::{Result, StudyError};
 
 /// The best PIDs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -43,7 +43,7 @@ pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids> {
         let plan = Plan::tuning(*seed);
         let result = tune_pid(study.lungs(), &budget.search, &plan, &study.progress)?;
         if !result.complete {
-            return Err(PaperError::Stopped);
+            return Err(StudyError::Stopped);
         }
         let lungs = result.lungs.into_iter().map(|lung| lung.best).collect();
         Ok(TunedPids { lungs, over_all: result.over_all })
@@ -118,7 +118,7 @@ pub(super) fn train_by<C: Trainable>(
 ) -> Result<Outcome<C>> {
     let outcome = run(&study.folder.folder(folder), &study.progress.of(folder))?;
     if !outcome.complete {
-        return Err(PaperError::Stopped);
+        return Err(StudyError::Stopped);
     }
     outcome.learned.save(&study.folder.folder(folder).path(CONTROLLER))?;
     Ok(outcome)

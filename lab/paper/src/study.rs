@@ -6,12 +6,12 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use super::reproduction::{Budget, Reproduction};
-use crate::error::{PaperError, Result};
 use data::workspace::Workspace;
 use learn::controller::learned::Learned;
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::evaluate::{Evaluation, Plan, evaluate};
+use study::{Result, StudyError};
 
 /// File of a controller in its folder.
 pub(super) const CONTROLLER: &str = "controller.safetensors";
@@ -93,7 +93,7 @@ impl<'a> Study<'a> {
     ) -> Result<T> {
         self.folder.keep(&file_of(name), || {
             let result = work()?;
-            if self.progress.stopped() { Err(PaperError::Stopped) } else { Ok(result) }
+            if self.progress.stopped() { Err(StudyError::Stopped) } else { Ok(result) }
         })
     }
 

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::shards::Shards;
 use super::*;
-use crate::PaperError;
+use ::study::StudyError;
 use campaign::Share;
 use campaign::record::Options;
 use campaign::shards::RunFolder;
@@ -74,7 +74,7 @@ fn a_folder_of_another_study_is_refused() {
     run_small(out.path(), &[]);
     let other = Reproduction { seed: 2, ..small(out.path(), &[]) };
     let refused = run(&other, &Progress::silent());
-    assert!(matches!(refused, Err(PaperError::Workspace(WorkspaceError::OtherRun { .. }))));
+    assert!(matches!(refused, Err(StudyError::Workspace(WorkspaceError::OtherRun { .. }))));
 }
 
 #[test]

@@ -8,7 +8,7 @@
 //!
 //! The number of gradient steps is fixed, not the time: the same seed must give the same controller on any machine.
 //!
-//! With a folder, the recording and the training's checkpoints are saved there, and a stopped run continues.
+//! With a folder, the training's checkpoints are saved there, and a stopped training continues.
 
 use std::ops::Range;
 use std::slice;
@@ -25,7 +25,7 @@ use shared::settings::Settings;
 use thiserror::Error;
 
 use super::family::FamilyRun;
-use super::{PipelineError, TrainedOnce, checksum, of_round, train};
+use super::{PipelineError, TrainedOnce, of_round, train};
 use crate::controller::learned::Learned;
 use crate::controller::{CurvePoint, FamilyConfig, FamilyModels, FamilyTraining, Stepwise};
 use crate::simulator::episode::{Episode, episodes};
@@ -38,8 +38,8 @@ use data::recording::{INSPIRATION, Recording};
 use data::workspace::Workspace;
 use engine::adam::AdamConfig;
 use progress::{Progress, Task};
-use ventilator::collect::{CollectConfig, CollectError, collect};
-use ventilator::{Source, seeds};
+use ventilator::collect::CollectConfig;
+use ventilator::seeds;
 
 /// Learning rate, as a share of that of the family's training. With a tenth, scores on the true benches of three units fell by up to
 /// one percentage point less in the same number of steps.
@@ -51,11 +51,6 @@ pub const BREATHS_NEEDED: usize = 8;
 /// Largest open-loop distance to the measured pressure on breaths left out of the fit, cmH2O. On 32 units like those of the adult
 /// family it was 0.09 to 0.36, sensor noise included; commissioning lowers the error by less than this limit.
 pub const OPEN_LOOP_LIMIT: f64 = 0.6;
-/// Name of the recording in the folder.
-pub const RECORDING: &str = "recording.parquet";
-/// Name of a recording that was stopped or failed.
-const PARTIAL: &str = "recording.partial.parquet";
-
 /// Configuration of a commissioning.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -172,16 +167,6 @@ pub struct Commissioned {
     pub complete: bool,
 }
 
-/// The settings that must match to continue a stopped commissioning.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Claim {
-    run: CommissionRun,
-    /// Address of the unit, or description of the bench.
-    unit: String,
-    /// Checksum of the starting controller.
-    start: u32,
-}
-
 impl CommissionRun {
     /// The default in breaths with these settings and PIPs, cmH2O.
     pub fn of(settings: &Settings, pips: &[f32]) -> Self {
@@ -190,23 +175,6 @@ impl CommissionRun {
         (run.collect.settings, run.collect.pip_range) = (*settings, run.train.pip_range);
         run.collect.pips = pips.to_vec();
         run
-    }
-
-    /// Claims a folder for this commissioning of a unit, from a starting controller.
-    ///
-    /// # Errors
-    /// The folder contains another run.
-    pub fn claim(&self, folder: &Workspace, unit: &str, start: &Residual) -> Result<(), PipelineError> {
-        let start = checksum(start.network().parameters());
-        Ok(folder.claim(&Claim { run: self.clone(), unit: unit.to_owned(), start })?)
-    }
-
-    /// The complete recording in the folder.
-    ///
-    /// # Errors
-    /// There is none, or it cannot be read.
-    pub fn recorded(folder: &Workspace) -> Result<Recording, PipelineError> {
-        Ok(Recording::load(folder.path(RECORDING))?)
     }
 
     /// The PID that records, at a control period in microseconds.
@@ -220,37 +188,6 @@ impl CommissionRun {
     /// The configuration of the recording of a unit, by its number among the units. Each has PIPs and perturbations of its own.
     pub fn collection(&self, unit: u64) -> CollectConfig {
         CollectConfig { seed: seeds::collection(self.seed, unit), ..self.collect.clone() }
-    }
-
-    /// Records the unit into the folder. A recording that was stopped or failed is kept under another name, and repeated by the next
-    /// call.
-    ///
-    /// # Errors
-    /// A unit that cannot be recorded, or a recording that was stopped.
-    pub fn record(
-        &self,
-        source: &mut dyn Source,
-        folder: &Workspace,
-        progress: &Progress<'_>,
-    ) -> Result<Recording, PipelineError> {
-        let pid = self.pid(source.period_us())?;
-        let partial = folder.path(PARTIAL);
-        let recording = match collect(source, &pid, &self.collection(0), progress) {
-            Err(CollectError::Interrupted { reason, collected }) => {
-                collected.recording.save(&partial)?;
-                let (breaths, file) = (collected.breaths, partial.display().to_string());
-                return Err(PipelineError::Interrupted { reason, breaths, file });
-            }
-            outcome => outcome?.recording,
-        };
-        if progress.stopped() {
-            if !recording.is_empty() {
-                recording.save(&partial)?;
-            }
-            return Err(PipelineError::Stopped);
-        }
-        recording.save(folder.path(RECORDING))?;
-        Ok(recording)
     }
 
     /// Fits a simulator to a recording and checks it on breaths left out of the fit: each part of the recording is left out of one fit.

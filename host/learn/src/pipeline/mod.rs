@@ -305,26 +305,13 @@ pub struct Outcome<C = Residual> {
 /// Creates the source of a round from its seed.
 pub type MakeSource<'a, L = Controller> = &'a (dyn Fn(u64) -> Result<Box<dyn Source<L>>, SourceError> + Sync);
 
-/// Runs the rounds for our controller; see [`run_as`].
-///
-/// # Errors
-/// See [`run_as`].
-pub fn run(
-    config: &PipelineConfig,
-    sources: &[MakeSource<'_>],
-    folder: Option<&Workspace>,
-    progress: &Progress<'_>,
-) -> Result<Outcome, PipelineError> {
-    run_as(config, sources, folder, progress)
-}
-
 /// Runs the rounds for a controller of the architecture `C`, which the configuration must name, on one or several plants, in memory
 /// or with a folder to continue from. Each plant has its own recording and simulators; the controller is trained on all of them at
 /// once.
 ///
 /// # Errors
 /// The error of the first stage that fails; files of earlier stages stay.
-pub fn run_as<C: Trainable>(
+pub fn run<C: Trainable>(
     config: &PipelineConfig,
     sources: &[MakeSource<'_, C::Law>],
     folder: Option<&Workspace>,
@@ -347,20 +334,7 @@ pub fn run_as<C: Trainable>(
 ///
 /// # Errors
 /// See [`run`]; also a bench that is refused.
-pub fn run_on_benches(
-    config: &PipelineConfig,
-    benches: &[BenchConfig],
-    folder: Option<&Workspace>,
-    progress: &Progress<'_>,
-) -> Result<Outcome, PipelineError> {
-    run_on_benches_as(config, benches, folder, progress)
-}
-
-/// Like [`run_as`], on benches: a ventilator in this process on each.
-///
-/// # Errors
-/// See [`run`]; also a bench that is refused.
-pub fn run_on_benches_as<C: Trainable>(
+pub fn run_on_benches<C: Trainable>(
     config: &PipelineConfig,
     benches: &[BenchConfig],
     folder: Option<&Workspace>,
@@ -377,10 +351,10 @@ pub fn run_on_benches_as<C: Trainable>(
     let sources: Vec<_> = benches.iter().map(make).collect();
     let sources: Vec<MakeSource<'_, C::Law>> =
         sources.iter().map(|source| source as MakeSource<'_, C::Law>).collect();
-    run_as(config, &sources, folder, progress)
+    run(config, &sources, folder, progress)
 }
 
-/// Like [`run_as`], on a plant behind the plant link. All rounds share one link, so the plant need not accept several.
+/// Like [`run`], on a plant behind the plant link. All rounds share one link, so the plant need not accept several.
 ///
 /// # Errors
 /// See [`run`].
@@ -394,7 +368,7 @@ pub fn run_on_plant<C: Trainable>(
     let source = |seed| -> Result<Box<dyn Source<C::Law>>, SourceError> {
         Ok(Box::new(PlantSource::new(link.clone(), base.clone(), config.period_us, seed)))
     };
-    run_as(config, &[&source], folder, progress)
+    run(config, &[&source], folder, progress)
 }
 
 /// The part of a round in the folder of a run.

@@ -3,7 +3,9 @@
 //! It goes the way of a farm: recording, simulator, controller, comparison. But nothing is stored on the unit, and each stage is called
 //! by itself.
 
-use serde::Serialize;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::Pid;
 use shared::control::residual::Residual;
@@ -12,12 +14,16 @@ use super::crosswise::plan;
 use crate::error::Result;
 use data::recording::Recording;
 use data::workspace::Workspace;
-use learn::pipeline::commission::{Checked, CommissionRun, Commissioned, RECORDING};
+use learn::pipeline::commission::{Checked, CommissionRun, Commissioned};
+use learn::pipeline::{PipelineError, checksum};
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::evaluate::{Plan, evaluate_law};
 use ventilator::Source;
+use ventilator::collect::{CollectError, collect};
 
+/// Name of a recording that was stopped or failed.
+const PARTIAL: &str = "recording.partial.parquet";
 /// Numbers of breaths of learning before the scored breaths on a bench; with 0 the first breath from rest is scored alone.
 const BREATHS_OF_LEARNING: [usize; 3] = [0, 1, 20];
 /// Share by which a score on the bench must rise to count as worse.
@@ -35,6 +41,16 @@ pub struct Alone<'a> {
     pub bench: Option<BenchConfig>,
     /// Its folder.
     pub folder: Workspace,
+}
+
+/// The settings that must match to continue.
+#[derive(Serialize, Deserialize)]
+struct Claim {
+    run: CommissionRun,
+    /// Address of the unit, or description of the bench.
+    unit: String,
+    /// Checksum of the starting controller.
+    start: u32,
 }
 
 /// Scores of the three controllers, cmH2O.
@@ -77,7 +93,13 @@ impl Alone<'_> {
     /// # Errors
     /// The folder of another unit, seed, configuration or starting controller, or one that cannot be used.
     pub fn claim(&self) -> Result<()> {
-        Ok(self.run.claim(&self.folder, &self.unit, self.start)?)
+        let start = checksum(self.start.network().parameters());
+        Ok(self.folder.claim(&Claim { run: self.run.clone(), unit: self.unit.clone(), start })?)
+    }
+
+    /// Path of the recording, once it is complete.
+    pub fn recording(&self) -> PathBuf {
+        self.folder.path("recording.parquet")
     }
 
     /// The recording of an earlier call, if the folder has one that is complete.
@@ -85,19 +107,36 @@ impl Alone<'_> {
     /// # Errors
     /// The folder of another unit, or a recording that cannot be read.
     pub fn recorded(&self) -> Result<Option<Recording>> {
-        if !self.folder.path(RECORDING).exists() {
+        if !self.recording().exists() {
             return Ok(None);
         }
         self.claim()?;
-        Ok(Some(CommissionRun::recorded(&self.folder)?))
+        Ok(Some(Recording::load(self.recording())?))
     }
 
-    /// Records the unit: see [`CommissionRun::record`].
+    /// Records the unit. A recording that was stopped or failed is kept under another name, and repeated by the next call.
     ///
     /// # Errors
     /// A unit that cannot be recorded, or a recording that was stopped.
     pub fn record(&self, source: &mut dyn Source, progress: &Progress<'_>) -> Result<Recording> {
-        Ok(self.run.record(source, &self.folder, progress)?)
+        let pid = self.run.pid(source.period_us())?;
+        let partial = self.folder.path(PARTIAL);
+        let recording = match collect(source, &pid, &self.run.collection(0), progress) {
+            Err(CollectError::Interrupted { reason, collected }) => {
+                collected.recording.save(&partial)?;
+                let (breaths, file) = (collected.breaths, partial.display().to_string());
+                return Err(PipelineError::Interrupted { reason, breaths, file }.into());
+            }
+            outcome => outcome?.recording,
+        };
+        if progress.stopped() {
+            if !recording.is_empty() {
+                recording.save(&partial)?;
+            }
+            return Err(PipelineError::Stopped.into());
+        }
+        recording.save(self.recording())?;
+        Ok(recording)
     }
 
     /// Trains the controller further on units around the simulator, or continues a training that was stopped.
@@ -129,3 +168,6 @@ impl Alone<'_> {
         BREATHS_OF_LEARNING.into_iter().map(after).collect()
     }
 }
+
+#[cfg(test)]
+mod tests;
