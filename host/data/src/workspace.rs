@@ -78,10 +78,10 @@ impl Workspace {
         loop {
             if let Some(there) = self.recipe::<Value>()? {
                 // What an earlier program did not write has its default.
-                return match R::deserialize(&there) {
-                    Ok(there) => same(&self.0, &there, recipe),
-                    Err(_) => same(&self.0, &there, recipe),
-                };
+                return R::deserialize(&there).map_or_else(
+                    |_| same(&self.0, &there, recipe),
+                    |earlier| same(&self.0, &earlier, recipe),
+                );
             }
             if create_json_indented(&path, recipe).map_err(WorkspaceError::file(&path))? {
                 return Ok(());

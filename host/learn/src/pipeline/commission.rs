@@ -220,42 +220,49 @@ impl CommissionRun {
         progress: &Progress<'_>,
     ) -> Result<(Simulator, Vec<Checked>), PipelineError> {
         let Some(first) = recordings.first() else { return Err(PipelineError::NoSimulator) };
-        let shape = |units| self.shape(first.provenance.period_us, units);
+        let shape = self.shape(first.provenance.period_us, recordings.len());
         let breaths = self.breaths_of_units(recordings)?;
         let plants: Vec<&str> =
             recordings.iter().map(|recording| recording.provenance.plant.as_str()).collect();
         let (name, task) = (plants.join(", "), progress.task(FIT, self.fit.epochs * (parts + 1)));
-        let is_in = |part: usize, number: usize| number % self.parts == part && part < parts;
         let fits: Option<Vec<Simulator>> = (0..=parts)
             .into_par_iter()
             .map(|part| {
-                let fitted = breaths.iter().enumerate().filter(|(number, _)| !is_in(part, *number));
-                let fitted: Vec<&Episode> = fitted.map(|(_, breath)| breath).collect();
-                self.fitted(shape(recordings.len()), &fitted, &name, &task)
+                // No breath is left out of the last fit.
+                let fitted = breaths.iter().enumerate();
+                let fitted = fitted.filter(|(number, _)| part == parts || number % self.parts != part);
+                self.fitted(shape, &fitted.map(|(_, breath)| breath).collect::<Vec<_>>(), &name, &task)
             })
             .collect();
-        let mut fits = fits.ok_or(PipelineError::Stopped)?;
-        // No breath is left out of the last fit.
-        let whole = fits.pop().ok_or(PipelineError::Stopped)?;
+        let mut checked = fits.ok_or(PipelineError::Stopped)?;
+        let whole = checked.pop().ok_or(PipelineError::Stopped)?;
         let unit = |(unit, plant): (u32, &&str)| {
-            let own = |breath: &Episode| breath.ventilator == Some(unit);
-            let distance = |(part, simulator): (usize, &Simulator)| {
-                let left_out =
-                    breaths.iter().enumerate().filter(|(number, breath)| is_in(part, *number) && own(breath));
-                open_loop(simulator, &left_out.map(|(_, breath)| breath).collect::<Vec<_>>()).measured
+            let own = breaths.iter().enumerate().filter(move |(_, breath)| breath.ventilator == Some(unit));
+            let simulator = Simulator {
+                architecture: Architecture::Unit(UnitConfig { units: 1, ..shape }),
+                parameters: whole.parameters[unit as usize * PER_UNIT..][..PER_UNIT].to_vec(),
+                plant: (*plant).to_owned(),
+                ..whole.clone()
             };
-            let parameters = whole.parameters[unit as usize * PER_UNIT..][..PER_UNIT].to_vec();
-            let figures = Figures {
-                breaths: breaths.iter().filter(|breath| own(breath)).count(),
-                open_loop: fits.iter().enumerate().map(distance).sum::<f64>() / parts as f64,
-                noise: whole.noise,
-                unit: UnitNumbers::of(&parameters),
-            };
-            let (architecture, plant) = (Architecture::Unit(shape(1)), (*plant).to_owned());
-            Checked { simulator: Simulator { architecture, parameters, plant, ..whole.clone() }, figures }
+            self.told(&own.collect::<Vec<_>>(), simulator, &checked)
         };
         let units = (0..).zip(&plants).map(unit).collect();
         Ok((whole, units))
+    }
+
+    /// What the numbered breaths of a unit tell, by its simulator and by those from whose fit a part was left out.
+    fn told(&self, breaths: &[(usize, &Episode)], simulator: Simulator, checked: &[Simulator]) -> Checked {
+        let distance = |(part, simulator): (usize, &Simulator)| {
+            let left_out = breaths.iter().filter(|(number, _)| number % self.parts == part);
+            open_loop(simulator, &left_out.map(|(_, breath)| *breath).collect::<Vec<_>>()).measured
+        };
+        let figures = Figures {
+            breaths: breaths.len(),
+            open_loop: checked.iter().enumerate().map(distance).sum::<f64>() / checked.len() as f64,
+            noise: simulator.noise,
+            unit: UnitNumbers::of(&simulator.parameters),
+        };
+        Checked { simulator, figures }
     }
 
     /// The complete breaths of all units, which name their unit.
