@@ -65,6 +65,7 @@ impl Workspace {
     }
 
     /// A folder within.
+    #[must_use]
     pub fn folder(&self, name: &str) -> Self {
         Self(self.path(name))
     }
