@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use data::files::write_atomically;
-use learn::pipeline::{self, PipelineConfig};
+use learn::pipeline::{self, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::evaluate::{Plan, evaluate};
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
 
     // No folder to continue from, no observer, never stopped.
-    let outcome = pipeline::run(&config, &[&source], None, &Progress::silent())?;
+    let outcome: Outcome = pipeline::run(&config, &[&source], None, &Progress::silent())?;
 
     let plan = Plan::evaluation(config.seed);
     let learned = Controller::Residual(outcome.learned.controller.clone());

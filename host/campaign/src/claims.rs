@@ -8,11 +8,12 @@ use std::fs::{self, File};
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::CampaignError;
+use crate::WorkspaceError;
+use crate::threads::locked;
 use data::files::write_atomically;
 
 /// Time between two renewals of a claim.
@@ -68,12 +69,12 @@ impl Claims {
     ///
     /// # Errors
     /// A folder that cannot be used.
-    pub fn take(&self, piece: &str) -> Result<State, CampaignError> {
+    pub fn take(&self, piece: &str) -> Result<State, WorkspaceError> {
         let path = self.folder.join(piece);
         if self.done(piece).exists() {
             return Ok(State::Done);
         }
-        fs::create_dir_all(&self.folder).map_err(CampaignError::file(&self.folder))?;
+        fs::create_dir_all(&self.folder).map_err(WorkspaceError::file(&self.folder))?;
         match File::create_new(&path) {
             Ok(_) => {}
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
@@ -81,9 +82,9 @@ impl Claims {
                     return Ok(State::Elsewhere);
                 }
             }
-            Err(error) => return Err(CampaignError::file(&path)(error)),
+            Err(error) => return Err(WorkspaceError::file(&path)(error)),
         }
-        self.write(&path, 0).map_err(CampaignError::file(&path))?;
+        self.write(&path, 0).map_err(WorkspaceError::file(&path))?;
         if !self.is_mine(&path) {
             // Another task has taken the same old claim.
             return Ok(State::Elsewhere);
@@ -98,12 +99,12 @@ impl Claims {
     }
 
     /// Whether the claim of another task has not changed for long.
-    fn is_old(&self, path: &Path) -> Result<bool, CampaignError> {
+    fn is_old(&self, path: &Path) -> Result<bool, WorkspaceError> {
         let now = match fs::read_to_string(path) {
             Ok(text) => text,
             // It was released just now: the next look finds the piece done or open.
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-            Err(error) => return Err(CampaignError::file(path)(error)),
+            Err(error) => return Err(WorkspaceError::file(path)(error)),
         };
         let mut seen = locked(&self.seen);
         match seen.get(path) {
@@ -128,11 +129,11 @@ impl Claims {
     ///
     /// # Errors
     /// A folder that cannot be used.
-    pub fn release(&self, piece: &str, done: bool) -> Result<(), CampaignError> {
+    pub fn release(&self, piece: &str, done: bool) -> Result<(), WorkspaceError> {
         let (path, mark) = (self.folder.join(piece), self.done(piece));
         locked(&self.held).remove(&path);
         if done {
-            self.count(&mark).map_err(CampaignError::file(&mark))?;
+            self.count(&mark).map_err(WorkspaceError::file(&mark))?;
         }
         if self.is_mine(&path) {
             // A claim that stays grows old.
@@ -176,10 +177,6 @@ impl Claims {
             }
         }
     }
-}
-
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Says that work has ended, even if it has panicked.

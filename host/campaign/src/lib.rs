@@ -6,7 +6,6 @@
 #![forbid(unsafe_code)]
 
 pub mod claims;
-mod difference;
 mod done;
 pub mod engine;
 mod exact;
@@ -15,46 +14,28 @@ pub mod shards;
 mod share;
 #[cfg(test)]
 mod tests;
+mod threads;
 
-use std::io;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::path::Path;
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
 use data::files::{read_json, write_json};
+use data::workspace::same;
 use done::Done;
 use progress::{Progress, Stage, Task};
+use threads::locked;
 
+pub use data::workspace::WorkspaceError;
 pub use exact::ExactSum;
 pub use share::Share;
+pub use threads::on_threads;
 
 /// Time between two saves. A process that is killed loses the units since then, and those under way.
 const SAVE_EVERY: Duration = Duration::from_secs(2);
-
-/// Why a campaign cannot begin or continue.
-#[derive(Debug, Error)]
-#[expect(missing_docs, reason = "the messages name every field")]
-pub enum CampaignError {
-    /// A file could not be used.
-    #[error("cannot use {}: {source}", path.display())]
-    File { path: PathBuf, source: io::Error },
-    /// The file belongs to a different campaign.
-    #[error("{} belongs to another run: {difference}; choose another file or folder, or use the same options", path.display())]
-    OtherRun { path: PathBuf, difference: String },
-}
-
-impl CampaignError {
-    /// Wraps an error of a file with its path.
-    pub fn file(path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
-        let path = path.to_owned();
-        move |source| Self::File { path, source }
-    }
-}
 
 /// What a campaign adds up.
 pub trait Sums: Serialize + DeserializeOwned + Send {
@@ -75,7 +56,7 @@ pub trait Work: Sync {
     /// What is added up.
     type Sums: Sums;
     /// Why a unit failed.
-    type Error: From<CampaignError> + Send;
+    type Error: From<WorkspaceError> + Send;
 
     /// Its question.
     fn question(&self) -> Self::Question;
@@ -121,12 +102,12 @@ where
     ///
     /// # Errors
     /// A file that cannot be read, or that belongs to a different campaign.
-    pub fn resumed(self, file: &Path) -> Result<Self, CampaignError> {
-        let Some(kept) = read_json::<Self>(file).map_err(CampaignError::file(file))? else { return Ok(self) };
-        match difference::between(&(&kept.question, kept.share), &(&self.question, self.share)) {
-            None => Ok(kept),
-            Some(difference) => Err(CampaignError::OtherRun { path: file.to_owned(), difference }),
-        }
+    pub fn resumed(self, file: &Path) -> Result<Self, WorkspaceError> {
+        let Some(kept) = read_json::<Self>(file).map_err(WorkspaceError::file(file))? else {
+            return Ok(self);
+        };
+        same(file, &(&kept.question, kept.share), &(&self.question, self.share))?;
+        Ok(kept)
     }
 
     /// Continues until all units of the campaign's share of the first `units` are done or it is stopped, on all threads. If a file is
@@ -146,49 +127,30 @@ where
         let (share, count, before) = (self.share, self.share.count(units), self.done.clone());
         let task = progress.task(stage, steps(count));
         task.reach(steps(before.count().min(count)));
-        let (next, failed) = (AtomicU64::new(0), AtomicBool::new(false));
-        let running = Mutex::new(Running { campaign: self, saved: Instant::now(), failure: None });
+        let running = Mutex::new((&mut *self, Instant::now()));
         let unit = |place: u64| -> Result<(), W::Error> {
             let number = share.unit(place);
             let Some(result) = work.unit(number, &task)? else { return Ok(()) };
-            let mut running = running.lock().unwrap_or_else(PoisonError::into_inner);
-            running.campaign.sums.add(number, result);
-            running.campaign.done.insert(place);
-            if running.saved.elapsed() > SAVE_EVERY {
-                running.campaign.save(keep)?;
-                running.saved = Instant::now();
+            let mut running = locked(&running);
+            let (campaign, saved) = &mut *running;
+            campaign.sums.add(number, result);
+            campaign.done.insert(place);
+            if saved.elapsed() > SAVE_EVERY {
+                campaign.save(keep)?;
+                *saved = Instant::now();
             }
             Ok(())
         };
-        let worker = || {
-            while !task.stopped() && !failed.load(Ordering::Relaxed) {
-                let place = next.fetch_add(1, Ordering::Relaxed);
-                if place >= count {
-                    break;
-                }
-                if !before.contains(place)
-                    && let Err(error) = unit(place)
-                {
-                    failed.store(true, Ordering::Relaxed);
-                    running.lock().unwrap_or_else(PoisonError::into_inner).fail(place, error);
-                }
-            }
-        };
-        // Threads of their own: one of the pool's would begin another unit while it waits for parts of its own.
-        std::thread::scope(|scope| {
-            for _ in 0..(rayon::current_num_threads() as u64).min(count) {
-                scope.spawn(worker);
-            }
-        });
-        let Running { campaign, failure, .. } = running.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let saved = campaign.save(keep);
-        failure.map_or(Ok(()), |(_, error)| Err(error))?;
+        let open = (0..count).filter(|place| !before.contains(*place)).take_while(|_| !task.stopped());
+        let outcome = on_threads(rayon::current_num_threads(), open, unit);
+        let saved = self.save(keep);
+        outcome?;
         Ok(saved?)
     }
 
-    fn save(&self, keep: Option<&Path>) -> Result<(), CampaignError> {
+    fn save(&self, keep: Option<&Path>) -> Result<(), WorkspaceError> {
         let Some(file) = keep else { return Ok(()) };
-        write_json(file, self).map_err(CampaignError::file(file))
+        write_json(file, self).map_err(WorkspaceError::file(file))
     }
 
     /// What it is about.
@@ -204,22 +166,5 @@ where
     /// The sums over these units.
     pub fn sums(&self) -> &S {
         &self.sums
-    }
-}
-
-/// A campaign that several threads advance.
-struct Running<'a, Q, S, E> {
-    campaign: &'a mut Campaign<Q, S>,
-    saved: Instant,
-    /// The failure of the first place, and this place.
-    failure: Option<(u64, E)>,
-}
-
-impl<Q, S, E> Running<'_, Q, S, E> {
-    /// Keeps the failure of the first place. Units begin in order, so it is the same on any number of threads.
-    fn fail(&mut self, place: u64, error: E) {
-        if self.failure.as_ref().is_none_or(|(first, _)| place < *first) {
-            self.failure = Some((place, error));
-        }
     }
 }

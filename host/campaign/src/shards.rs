@@ -14,14 +14,12 @@
 use std::path::{Path, PathBuf};
 
 use progress::{Progress, Stage, Task};
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::difference;
 use crate::record::{Ending, Options, Record, Results};
-use crate::{Campaign, CampaignError, CampaignOf, Share, UnitOf, Work};
-use data::files::{create_json_indented, read_json};
+use crate::{Campaign, CampaignOf, Share, UnitOf, Work, WorkspaceError};
 use data::provenance::build_id;
+use data::workspace::Workspace;
 
 mod merge;
 mod once;
@@ -82,36 +80,36 @@ where
 
 /// The files of a run.
 #[derive(Clone, Debug)]
-pub struct RunFolder(PathBuf);
+pub struct RunFolder {
+    path: PathBuf,
+    /// `shards/` in it.
+    shards: Workspace,
+}
 
 impl RunFolder {
     /// The run in this folder.
     pub fn new(path: &Path) -> Self {
-        Self(path.to_owned())
-    }
-
-    fn run_file(&self) -> PathBuf {
-        self.0.join("shards").join("run.json")
+        Self { path: path.to_owned(), shards: Workspace::new(path.join("shards")) }
     }
 
     fn record_file(&self, share: Share) -> PathBuf {
-        self.0.join("shards").join(format!("{}-of-{}.task.json", share.index(), share.of()))
+        self.shards.path(&format!("{}-of-{}.task.json", share.index(), share.of()))
     }
 
     /// Folder of the claims on work that tasks share.
     pub fn claims_folder(&self) -> PathBuf {
-        self.0.join("shards").join("claims")
+        self.shards.path("claims")
     }
 
     /// The campaign of a shard that is not complete. It has a file of its own, so that a task cannot replace the complete campaign of
     /// another one with the same shard.
     fn part_file(&self, share: Share) -> PathBuf {
-        self.0.join("shards").join(format!("{}-of-{}.part.json", share.index(), share.of()))
+        self.shards.path(&format!("{}-of-{}.part.json", share.index(), share.of()))
     }
 
     /// The complete campaign of a shard.
     pub fn shard_file(&self, share: Share) -> PathBuf {
-        self.0.join("shards").join(format!("{}-of-{}.json", share.index(), share.of()))
+        self.shards.path(&format!("{}-of-{}.json", share.index(), share.of()))
     }
 
     /// Runs a shard of the first `units` units of some work, or continues it, and saves it in the folder, with a record that has the
@@ -135,12 +133,12 @@ impl RunFolder {
             return Ok(false);
         }
         let part = PartOf::new(work, units, share.of());
-        self.claim(&part.run)?;
+        self.shards.claim(&part.run)?;
         let file = self.record_file(share);
         // A record that cannot be read is replaced: nothing depends on it.
         let earlier = Record::load(&file).ok().flatten();
         let record = earlier.iter().fold(Record::begin(options), Record::continuing).running(&file);
-        record.write().map_err(CampaignError::file(&file))?;
+        record.write().map_err(WorkspaceError::file(&file))?;
         let outcome = self.advance(&part, share, progress);
         let ending = match &outcome {
             Ok(true) => Ending::Complete,
@@ -181,34 +179,12 @@ impl RunFolder {
         Ok(true)
     }
 
-    /// Marks the folder as that of a run. Of tasks with different runs that begin at the same moment, one succeeds.
-    fn claim<Q: Serialize + DeserializeOwned>(&self, run: &Run<Q>) -> Result<(), CampaignError> {
-        let path = self.run_file();
-        loop {
-            if let Some(there) = read_json::<serde_json::Value>(&path).map_err(CampaignError::file(&path))? {
-                return same(&path, &there, run);
-            }
-            if create_json_indented(&path, run).map_err(CampaignError::file(&path))? {
-                return Ok(());
-            }
-        }
-    }
-
     /// Number of shards of the run in the folder; none without a run.
     ///
     /// # Errors
     /// A file that cannot be read.
-    pub fn shards(&self) -> Result<Option<u64>, CampaignError> {
-        let path = self.run_file();
-        let run = read_json::<Run<serde_json::Value>>(&path).map_err(CampaignError::file(&path))?;
+    pub fn shards(&self) -> Result<Option<u64>, WorkspaceError> {
+        let run = self.shards.recipe::<Run<serde_json::Value>>()?;
         Ok(run.map(|run| run.shards))
-    }
-}
-
-/// Refuses a file that belongs to something else.
-fn same(path: &Path, there: &serde_json::Value, here: &impl Serialize) -> Result<(), CampaignError> {
-    match difference::between(there, here) {
-        None => Ok(()),
-        Some(difference) => Err(CampaignError::OtherRun { path: path.to_owned(), difference }),
     }
 }

@@ -4,6 +4,8 @@ use std::fs;
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
+use thiserror::Error;
+
 use super::record::{Ending, Options};
 use super::shards::RunFolder;
 use super::*;
@@ -46,7 +48,7 @@ struct Waves {
 #[derive(Debug, Error)]
 enum WavesError {
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
+    Workspace(#[from] WorkspaceError),
     #[error("unit {0} broke")]
     Broken(u64),
 }
@@ -251,7 +253,7 @@ fn what_every_task_needs_is_computed_once_and_only_for_its_question() {
     let folder = tempfile::tempdir().unwrap();
     let (run, together, computed) = (RunFolder::new(folder.path()), Barrier::new(4), AtomicU64::new(0));
     let once = |question: u64, progress: &Progress<'_>| {
-        run.once("value", &question, progress, || -> Result<u64, CampaignError> {
+        run.once("value", &question, progress, || -> Result<u64, WorkspaceError> {
             std::thread::sleep(Duration::from_millis(100));
             Ok(computed.fetch_add(1, Ordering::Relaxed))
         })

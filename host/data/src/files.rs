@@ -137,31 +137,6 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> io::Result<Option<T>> {
     }
 }
 
-/// Marks a folder as belonging to one configuration, in its `run.json`; false if it belongs to another.
-///
-/// # Errors
-/// A file that cannot be read or written.
-pub fn claim<T: PartialEq + Serialize + DeserializeOwned>(
-    folder: &Path,
-    configuration: &T,
-) -> io::Result<bool> {
-    let path = folder.join("run.json");
-    loop {
-        match fs::read_to_string(&path) {
-            // A configuration of another shape is a different configuration.
-            Ok(text) => {
-                return Ok(serde_json::from_str::<T>(&text).is_ok_and(|earlier| earlier == *configuration));
-            }
-            Err(error) if error.kind() == ErrorKind::NotFound => {
-                if create_json_indented(&path, configuration)? {
-                    return Ok(true);
-                }
-            }
-            Err(error) => return Err(error),
-        }
-    }
-}
-
 fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(path)?;
     file.write_all(bytes)?;
@@ -189,15 +164,6 @@ mod tests {
         write_atomically(&path, b"new").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(entries(path.parent().unwrap()), ["file.txt"]);
-    }
-
-    #[test]
-    fn a_folder_belongs_to_its_first_configuration() {
-        let folder = tempfile::tempdir().unwrap();
-        for (configuration, own) in [(1, true), (1, true), (2, false)] {
-            assert_eq!(claim(folder.path(), &configuration).unwrap(), own);
-        }
-        assert!(!claim(folder.path(), &"of another shape".to_owned()).unwrap());
     }
 
     #[test]

@@ -1,6 +1,7 @@
-//! Files and their origin: recordings, third-party tables, exports, and tensors.
+//! Files and their origin: recordings, third-party tables, exports, tensors, and the folders of runs.
 #![forbid(unsafe_code)]
 
+pub mod difference;
 pub mod export;
 pub mod files;
 pub mod identity;
@@ -9,3 +10,4 @@ pub mod pirds;
 pub mod provenance;
 pub mod recording;
 pub mod tensors;
+pub mod workspace;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use campaign::shards::RunFolder;
-use campaign::{Campaign, CampaignError, CampaignOf, Share, Work, engine};
+use campaign::{Campaign, CampaignOf, Share, Work, WorkspaceError, engine};
 use progress::Progress;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -107,7 +107,7 @@ impl ShardFolderArgs {
         context: &Context<'_>,
     ) -> Result<Option<T>, E>
     where
-        E: From<CampaignError>,
+        E: From<WorkspaceError>,
     {
         context.progress(|progress| {
             if let Some(folder) = self.out.as_deref().map(RunFolder::new) {

@@ -5,25 +5,23 @@ use std::path::PathBuf;
 use anyhow::bail;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
-use shared::control::Controller;
 use shared::control::pid::PidGains;
 use shared::control::residual::Residual;
 
 use super::train::{CONTROLLER, ResultArgs};
-use crate::args::controller::{Chosen, learned as learned_controller};
+use crate::args::controller::{Chosen, learned};
 use crate::args::gains::{format_gains, gains};
 use crate::args::settings::SettingsArgs;
 use crate::args::source::SourceArgs;
 use crate::command::{Command, Context, Makes, Output};
 use data::recording::Recording;
+use data::workspace::Workspace;
 use learn::controller::CurvePoint;
-use learn::pipeline::Folder;
 use learn::pipeline::commission::{
-    BREATHS_NEEDED, CommissionRun, Commissioned, Figures, OPEN_LOOP_LIMIT, RECORDING, Winner,
+    BREATHS_NEEDED, CommissionRun, Commissioned, Figures, OPEN_LOOP_LIMIT, Winner,
 };
-use plant::bench::BenchConfig;
-use score::evaluate::{Plan, evaluate_law};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
+use study::farm::{Alone, OnBench, Scores};
 
 /// Train the family's controller further for one unit, from a minute of its own breaths
 #[derive(Debug, clap::Args)]
@@ -94,40 +92,8 @@ pub struct Summary {
     train_curve: Vec<CurvePoint>,
 }
 
-/// Scores of the three controllers, cmH2O.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-struct Scores {
-    pid: f64,
-    start: f64,
-    commissioned: f64,
-}
-
-/// Scores on the bench after this number of breaths of learning.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-struct OnBench {
-    breaths_of_learning: usize,
-    #[serde(flatten)]
-    scores: Scores,
-}
-
-/// Numbers of breaths of learning before the scored breaths on a bench; with 0 the first breath from rest is scored alone.
-const BREATHS_OF_LEARNING: [usize; 3] = [0, 1, 20];
 /// File name of the report in the folder.
 const REPORT: &str = "report.html";
-
-/// A commissioning.
-struct Job<'a> {
-    args: &'a Args,
-    context: &'a Context<'a>,
-    run: CommissionRun,
-    folder: Folder,
-    start: Chosen,
-    residual: Residual,
-    /// Address of the unit, or description of the bench.
-    unit: String,
-    /// The bench, if the unit is one.
-    bench: Option<BenchConfig>,
-}
 
 impl Command for Args {
     type Outcome = Summary;
@@ -137,163 +103,142 @@ impl Command for Args {
     }
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
-        let job = Job::new(self, context)?;
-        let recording = job.recording()?;
-        job.stage(2, "check: fits a physical simulator and compares it with breaths left out of the fit");
-        let checked = context.progress(|progress| job.run.check(&recording, progress))?;
-        let tables = [figures_table(&checked.figures), unit_table(&checked.figures)];
-        for table in &tables {
-            context.table(table);
-        }
+        let start = learned(&self.controller)?;
+        let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
+        let unit = self.unit(residual)?;
+        let recording = self.recording(&unit, &start, context)?;
+        stage(
+            2,
+            "check: fits a physical simulator and compares it with breaths left out of the fit",
+            context,
+        );
+        let checked = context.progress(|progress| unit.run.check(&recording, progress))?;
+        context.table(&figures_table(&checked.figures));
+        context.table(&unit_table(&checked.figures));
         context.line(SCALE);
         if let Some(problem) = checked.figures.problem() {
             bail!("{problem}");
         }
-        job.stage(3, &format!("fine-tune: trains {} further on units around this simulator", job.start.name));
-        let commissioned = context.progress(|progress| {
-            job.run.tune(&job.residual, &[&checked.simulator], Some(&job.folder), progress)
-        })?;
+        let text = format!("fine-tune: trains {} further on units around this simulator", start.name);
+        stage(3, &text, context);
+        let commissioned = context.progress(|progress| unit.train(&checked, progress))?;
         if !commissioned.complete {
             context.line("Stopped. Run the same command again to continue.");
             return Ok(None);
         }
         context.line(verdict(commissioned.winner));
-        job.stage(4, "compare: scores the PID, the starting and the commissioned controller");
-        let on_bench = job.on_bench(&commissioned)?;
-        Ok(Some(job.finish(&recording, &checked.figures, tables, commissioned, on_bench)?))
+        stage(4, "compare: scores the PID, the starting and the commissioned controller", context);
+        let learned = &commissioned.learned.controller;
+        let bench = context.progress(|progress| unit.compare(learned, progress))?;
+        Ok(Some(self.finish(&start, &recording, &checked.figures, commissioned, bench, context)?))
     }
 }
 
-impl<'a> Job<'a> {
-    fn new(args: &'a Args, context: &'a Context<'a>) -> anyhow::Result<Self> {
-        let start = learned_controller(&args.controller)?;
-        let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
-        let residual = residual.clone();
-        let mut run = CommissionRun {
-            seed: args.result.seed,
-            collector: args.collector,
-            ..CommissionRun::of(&args.settings.for_training(&args.pips)?, &args.pips)
-        };
-        run.collect.breaths = args.breaths as usize;
-        run.train.iterations = args.iterations;
-        let (port, plant) = (&args.source.port.port, &args.source.plant.plant);
-        let bench = if port.is_none() && plant.is_none() { Some(args.source.bench.one()?) } else { None };
-        let unit = match (&bench, port, plant) {
-            (Some(bench), ..) => bench.to_toml(),
-            (None, Some(port), _) => port.to_string(),
-            (None, None, plant) => plant.iter().map(ToString::to_string).collect(),
-        };
-        let folder = Folder::new(&args.result.out);
-        Ok(Self { args, context, run, folder, start, residual, unit, bench })
-    }
+/// Announces a stage.
+fn stage(number: usize, text: &str, context: &Context<'_>) {
+    context.line(&format!("[{number}/5] {text}"));
+}
 
-    /// Announces a stage.
-    fn stage(&self, number: usize, text: &str) {
-        self.context.line(&format!("[{number}/5] {text}"));
+/// The configuration of a recording of this many breaths at these PIPs, cmH2O, and of a training of this many gradient steps on it.
+pub fn configured(
+    seed: u64,
+    settings: &SettingsArgs,
+    pips: &[f32],
+    breaths: u32,
+    iterations: usize,
+) -> anyhow::Result<CommissionRun> {
+    let mut run = CommissionRun { seed, ..CommissionRun::of(&settings.for_training(pips)?, pips) };
+    (run.collect.breaths, run.train.iterations) = (breaths as usize, iterations);
+    Ok(run)
+}
+
+impl Args {
+    /// The unit as a farm.
+    fn unit<'a>(&self, start: &'a Residual) -> anyhow::Result<Alone<'a>> {
+        let Self { result, settings, pips, collector, .. } = self;
+        let run = configured(result.seed, settings, pips, self.breaths, self.iterations)?;
+        let run = CommissionRun { collector: *collector, ..run };
+        let (bench, unit) = match (&self.source.port.port, &self.source.plant.plant) {
+            (Some(port), _) => (None, port.to_string()),
+            (None, Some(plant)) => (None, plant.to_string()),
+            (None, None) => {
+                let bench = self.source.bench.one()?;
+                let unit = bench.to_toml();
+                (Some(bench), unit)
+            }
+        };
+        Ok(Alone { run, start, unit, bench, folder: Workspace::new(&result.out) })
     }
 
     /// Records the unit, or loads the recording of an earlier call.
-    fn recording(&self) -> anyhow::Result<Recording> {
-        let Self { args, run, folder, .. } = self;
-        if folder.whole(RECORDING).exists() {
-            self.claim()?;
-            self.stage(1, &format!("collect: {} is complete", folder.whole(RECORDING).display()));
-            return Ok(CommissionRun::recorded(folder)?);
+    fn recording(
+        &self,
+        unit: &Alone<'_>,
+        start: &Chosen,
+        context: &Context<'_>,
+    ) -> anyhow::Result<Recording> {
+        let run = &unit.run;
+        if let Some(recording) = unit.recorded()? {
+            stage(1, &format!("collect: {} is complete", unit.recording().display()), context);
+            return Ok(recording);
         }
-        let plant = args.source.plant.connect()?;
-        self.start.suits(plant.as_ref())?;
-        let pid = Chosen::pid(run.collector, self.start.period_us)?;
-        let collection = run.collection();
-        let mut source = args.source.open(plant, &pid, &collection.settings, collection.seed)?;
+        let plant = self.source.plant.connect()?;
+        start.suits(plant.as_ref())?;
+        let pid = Chosen::pid(run.collector, start.period_us)?;
+        let collection = run.collection(0);
+        let mut source = self.source.open(plant, &pid, &collection.settings, collection.seed)?;
         // Only now: a unit that cannot be reached leaves no trace in the folder.
-        self.claim()?;
-        let settings = &run.collect.settings;
-        self.stage(
-            1,
-            &format!(
-                "collect: records {} breaths, {:.0} s, under the PID {} with random exploration; {} cmH2O ends a breath",
-                run.collect.breaths,
-                run.collect.breaths as f32 * 60.0 / settings.rate,
-                format_gains(&run.collector),
-                settings.pressure_limit,
-            ),
+        unit.claim()?;
+        let text = format!(
+            "collect: records {} breaths, {:.0} s, under the PID {} with random exploration; {} cmH2O ends a breath",
+            run.collect.breaths,
+            run.collect.breaths as f32 * 60.0 / run.collect.settings.rate,
+            format_gains(&run.collector),
+            run.collect.settings.pressure_limit,
         );
-        Ok(self.context.progress(|progress| run.record(source.as_mut(), folder, progress))?)
-    }
-
-    /// Claims the folder for this commissioning.
-    fn claim(&self) -> anyhow::Result<()> {
-        Ok(self.run.claim(&self.folder, &self.unit, &self.residual)?)
-    }
-
-    /// Scores on the bench, if the unit is one, under noise that was not used before.
-    fn on_bench(&self, commissioned: &Commissioned) -> anyhow::Result<Vec<OnBench>> {
-        let Some(bench) = &self.bench else { return Ok(Vec::new()) };
-        let pid = Chosen::pid(self.start.gains(), self.start.period_us)?;
-        let learned = Controller::Residual(commissioned.learned.controller.clone());
-        let after = |breaths_of_learning| -> anyhow::Result<OnBench> {
-            let plan = Plan {
-                period_us: self.start.period_us,
-                pips: self.args.pips.clone(),
-                warm_up: breaths_of_learning,
-                breaths: if breaths_of_learning == 0 { 1 } else { Plan::default().breaths },
-                settings: self.run.collect.settings,
-                ..Plan::evaluation(self.run.seed)
-            };
-            let score = |controller| -> anyhow::Result<f64> {
-                Ok(self
-                    .context
-                    .progress(|progress| evaluate_law(bench, controller, &plan, progress))?
-                    .mean
-                    .score)
-            };
-            let (pid, start) = (score(pid.chip()?)?, score(self.start.chip()?)?);
-            Ok(OnBench { breaths_of_learning, scores: Scores { pid, start, commissioned: score(&learned)? } })
-        };
-        BREATHS_OF_LEARNING.into_iter().map(after).collect()
+        stage(1, &text, context);
+        Ok(context.progress(|progress| unit.record(source.as_mut(), progress))?)
     }
 
     /// Prints the comparison, packs the controller and writes the report.
     fn finish(
         &self,
+        start: &Chosen,
         recording: &Recording,
         figures: &Figures,
-        tables: [Table; 2],
         commissioned: Commissioned,
         bench: Vec<OnBench>,
+        context: &Context<'_>,
     ) -> anyhow::Result<Summary> {
-        let Self { context, .. } = self;
-        let ResultArgs { out, .. } = &self.args.result;
-        let Commissioned { learned, winner, start, curve, .. } = commissioned;
-        let simulator = Scores { pid: learned.origin.base, start, commissioned: learned.origin.validation };
+        let simulator = Scores::on_simulator(&commissioned);
+        let Commissioned { learned, winner, curve, .. } = commissioned;
         let comparison = comparison_table(simulator, &bench);
         context.table(&comparison);
-        let worse = bench.iter().any(|on| on.scores.commissioned > (1.0 + WORSE_BY) * on.scores.start);
+        let worse = bench.iter().any(|on| on.scores.worse());
         if worse {
             context.line(WORSE);
         }
-        self.stage(5, "pack");
-        let report = Report {
-            title: "Commissioning".into(),
-            subtitle: format!("{} from {}", recording.provenance.plant, self.start.name),
-            sections: sections(tables, comparison, winner, &curve),
-            provenance: Some(recording.provenance.clone()),
-        };
-        let controller = out.join(CONTROLLER);
+        stage(5, "pack", context);
+        let controller = self.result.out.join(CONTROLLER);
         learned.save(&controller)?;
         context.saved(&controller);
-        let (weights, weights_id) = self.args.result.packed(&learned, context)?;
-        context.report(Some(&out.join(REPORT)), || Ok(report))?;
-        let port =
-            self.args.source.port.port.as_ref().map_or_else(|| "/dev/ttyACM0".into(), ToString::to_string);
+        let (weights, weights_id) = self.result.packed(&learned, context)?;
+        let report = Report {
+            title: "Commissioning".into(),
+            subtitle: format!("{} from {}", recording.provenance.plant, start.name),
+            sections: sections(figures, comparison, winner, &curve),
+            provenance: Some(recording.provenance.clone()),
+        };
+        context.report(Some(&self.result.out.join(REPORT)), || Ok(report))?;
         if !worse {
+            let port = self.source.port.port.as_ref().map_or("/dev/ttyACM0".into(), ToString::to_string);
             context.line(&format!("Flash it with: trainer flash {} --port {port}", weights.display()));
         }
         Ok(Summary {
-            seed: self.run.seed,
+            seed: self.result.seed,
             plant: recording.provenance.plant.clone(),
-            start: self.start.name.clone(),
-            gains: self.start.gains(),
+            start: start.name.clone(),
+            gains: start.gains(),
             figures: *figures,
             winner,
             simulator,
@@ -310,8 +255,6 @@ impl<'a> Job<'a> {
 const SCALE: &str = "Pressures alone do not tell the scale of the flow: full flow, R, C and leak are those of a circuit of 1.5 mL/cmH2O.\nAt a low R they can be wrong by a factor of two; the times and the controller do not depend on that scale.";
 /// Said if the bench disagrees with the simulator.
 const WORSE: &str = "On the bench the commissioned controller is worse than the starting one: keep the starting one, or commission again with more breaths (--breaths) or another --seed, and another --out.";
-/// Share by which a score on the bench must rise to count as worse.
-const WORSE_BY: f64 = 0.01;
 
 fn verdict(winner: Winner) -> &'static str {
     match winner {
@@ -384,12 +327,12 @@ fn comparison_table(simulator: Scores, bench: &[OnBench]) -> Table {
 }
 
 /// The sections of the report.
-fn sections(tables: [Table; 2], comparison: Table, winner: Winner, curve: &[CurvePoint]) -> Vec<Section> {
+fn sections(figures: &Figures, comparison: Table, winner: Winner, curve: &[CurvePoint]) -> Vec<Section> {
     let points = curve.iter().map(|point| (point.iteration as f64, point.validation)).collect();
     let series = vec![Series::new("validation units", Style::Line, points)];
     let plot = Plot::new("Fine-tuning", "gradient steps", "mean absolute error, cmH2O", series);
     vec![
-        Section::new("Check", SCALE, tables.map(Block::Table).into()),
+        Section::new("Check", SCALE, [figures_table(figures), unit_table(figures)].map(Block::Table).into()),
         Section::new("Comparison", verdict(winner), vec![Block::Table(comparison), Block::Plot(plot)]),
     ]
 }

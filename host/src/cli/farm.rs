@@ -7,6 +7,7 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 
+use super::commission::configured;
 use crate::args::controller::learned;
 use crate::args::key::KeyArgs;
 use crate::args::settings::SettingsArgs;
@@ -179,12 +180,7 @@ impl Command for Args {
 }
 
 fn config(args: &Args) -> anyhow::Result<FarmConfig> {
-    let mut run = CommissionRun {
-        seed: args.seed,
-        ..CommissionRun::of(&args.settings.for_training(&args.pips)?, &args.pips)
-    };
-    run.collect.breaths = args.breaths as usize;
-    run.train.iterations = args.iterations;
+    let run = configured(args.seed, &args.settings, &args.pips, args.breaths, args.iterations)?;
     Ok(FarmConfig {
         run,
         farm_iterations: args.farm_iterations,

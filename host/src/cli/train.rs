@@ -17,11 +17,12 @@ use crate::args::plant::{PlantArgs, period_us};
 use crate::args::preset::Preset;
 use crate::args::settings::SettingsArgs;
 use crate::command::{Command, Context, Makes, Output, OutputArgs, write};
+use data::workspace::Workspace;
 use learn::controller::authors::{AuthorsController, ERROR_SPACING_MAX_US};
 use learn::controller::learned::Learned;
 use learn::controller::{ControllerArchitecture, CurvePoint, TrainConfig, Trainable, Weighting};
 use learn::pipeline::{
-    Folder, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches_as,
+    Outcome, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches,
     run_on_plant, train_on_simulators,
 };
 use learn::simulator::model::Simulator;
@@ -187,25 +188,20 @@ impl ResultArgs {
     /// Saves a controller, with its signed weights image if there is a key, and returns its scores.
     pub fn saved(
         &self,
-        learned: &Learned,
-        improved: bool,
-        complete: bool,
+        trained: &TrainedOnce,
+        rounds: Vec<Round>,
         context: &Context<'_>,
     ) -> anyhow::Result<Summary> {
-        let summary = self.kept(learned, improved, complete)?;
+        let summary = self.kept(trained, rounds)?;
         if self.key.key.is_some() {
-            self.packed(learned, context)?;
+            self.packed(&trained.learned, context)?;
         }
         Ok(summary)
     }
 
     /// Saves a controller of any architecture and returns its scores.
-    fn kept<C: Trainable>(
-        &self,
-        learned: &Learned<C>,
-        improved: bool,
-        complete: bool,
-    ) -> anyhow::Result<Summary> {
+    fn kept<C: Trainable>(&self, trained: &TrainedOnce<C>, rounds: Vec<Round>) -> anyhow::Result<Summary> {
+        let TrainedOnce { learned, improved, curve, complete } = trained;
         let controller = self.out.join(CONTROLLER);
         learned.save(&controller)?;
         Ok(Summary {
@@ -213,10 +209,10 @@ impl ResultArgs {
             controller,
             validation: learned.origin.validation,
             base: learned.origin.base,
-            improved,
-            complete,
-            rounds: Vec::new(),
-            train_curve: Vec::new(),
+            improved: *improved,
+            complete: *complete,
+            rounds,
+            train_curve: curve.clone(),
         })
     }
 
@@ -227,12 +223,6 @@ impl ResultArgs {
         write(&weights, &image)?;
         context.saved(&weights);
         Ok((weights, image_id(decode(&image)?.id)))
-    }
-
-    /// The result of a training on simulators.
-    pub fn once(&self, trained: TrainedOnce, context: &Context<'_>) -> anyhow::Result<Summary> {
-        let summary = self.saved(&trained.learned, trained.improved, trained.complete, context)?;
-        Ok(Summary { train_curve: trained.curve, ..summary })
     }
 }
 
@@ -256,18 +246,16 @@ impl Command for Args {
         let result = &self.result;
         let summary = match config.controller {
             ControllerArchitecture::Ours => {
-                let trained = self.trained(&config, plant.as_ref(), &simulators, context)?;
-                let scores = result.saved(&trained.learned, trained.improved, trained.complete, context)?;
-                trained.summary(scores)
+                let (trained, rounds) = self.trained(&config, plant.as_ref(), &simulators, context)?;
+                result.saved(&trained, rounds, context)?
             }
             ControllerArchitecture::Authors { .. } => {
                 if result.key.key.is_some() {
                     bail!("--key signs weights images, and no image holds the authors' network: omit --key");
                 }
-                let trained =
+                let (trained, rounds) =
                     self.trained::<AuthorsController>(&config, plant.as_ref(), &simulators, context)?;
-                let scores = result.kept(&trained.learned, trained.improved, trained.complete)?;
-                trained.summary(scores)
+                result.kept(&trained, rounds)?
             }
         };
         summary.show("held-out simulator", context);
@@ -355,7 +343,7 @@ impl Args {
         plant: Option<&SharedLink>,
         simulators: &[Simulator],
         context: &Context<'_>,
-    ) -> anyhow::Result<Training<C>> {
+    ) -> anyhow::Result<(TrainedOnce<C>, Vec<Round>)> {
         if simulators.is_empty() {
             self.rounds(config, plant, context)
         } else {
@@ -368,22 +356,18 @@ impl Args {
         config: &PipelineConfig,
         plant: Option<&SharedLink>,
         context: &Context<'_>,
-    ) -> anyhow::Result<Training<C>> {
-        let folder = Folder::new(&self.result.out);
+    ) -> anyhow::Result<(TrainedOnce<C>, Vec<Round>)> {
+        let folder = Workspace::new(&self.result.out);
         let outcome = if let Some(link) = plant {
             context.progress(|progress| run_on_plant(config, link, Some(&folder), progress))
         } else {
             let benches = self.bench.benches()?;
-            context.progress(|progress| run_on_benches_as(config, &benches, Some(&folder), progress))
+            context.progress(|progress| run_on_benches(config, &benches, Some(&folder), progress))
         }?;
         context.table(&rounds_table(&outcome.rounds));
-        Ok(Training {
-            improved: outcome.rounds.last().is_some_and(|round| round.improved),
-            learned: outcome.learned,
-            complete: outcome.complete,
-            rounds: outcome.rounds,
-            curve: Vec::new(),
-        })
+        let improved = outcome.rounds.last().is_some_and(|round| round.improved);
+        let Outcome { learned, rounds, complete, .. } = outcome;
+        Ok((TrainedOnce { learned, improved, curve: Vec::new(), complete }, rounds))
     }
 
     fn once<C: Trainable>(
@@ -391,8 +375,8 @@ impl Args {
         config: &PipelineConfig,
         simulators: &[Simulator],
         context: &Context<'_>,
-    ) -> anyhow::Result<Training<C>> {
-        let folder = Folder::new(&self.result.out);
+    ) -> anyhow::Result<(TrainedOnce<C>, Vec<Round>)> {
+        let folder = Workspace::new(&self.result.out);
         let trained = context
             .progress(|progress| train_on_simulators(config, simulators, &folder, progress))
             .map_err(|error| match error {
@@ -401,24 +385,7 @@ impl Args {
                 }
                 other => other.into(),
             })?;
-        let TrainedOnce { learned, improved, curve, complete } = trained;
-        Ok(Training { learned, improved, complete, rounds: Vec::new(), curve })
-    }
-}
-
-/// A finished or stopped training.
-struct Training<C> {
-    learned: Learned<C>,
-    improved: bool,
-    complete: bool,
-    rounds: Vec<Round>,
-    curve: Vec<CurvePoint>,
-}
-
-impl<C> Training<C> {
-    /// The summary, completed by the course of the training.
-    fn summary(self, scores: Summary) -> Summary {
-        Summary { rounds: self.rounds, train_curve: self.curve, ..scores }
+        Ok((trained, Vec::new()))
     }
 }
 

@@ -5,7 +5,7 @@ use shared::control::pid::PidGains;
 use super::train::{ResultArgs, Summary};
 use crate::args::gains::{format_gains, gains};
 use crate::command::{Command, Context, Makes, Output};
-use learn::pipeline::Folder;
+use data::workspace::Workspace;
 use learn::pipeline::family::FamilyRun;
 use plant::bench::family::Family;
 
@@ -63,10 +63,10 @@ impl Command for Args {
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
         let family = Family::find(&self.family)?;
-        let folder = Folder::new(&self.result.out);
+        let folder = Workspace::new(&self.result.out);
         let config = self.config(&family);
         let trained = context.progress(|progress| config.run(&family, Some(&folder), progress))?;
-        let summary = self.result.once(trained, context)?;
+        let summary = self.result.saved(&trained, Vec::new(), context)?;
         summary.show("validation units, geometric mean over the first breaths", context);
         Ok(Some(summary))
     }

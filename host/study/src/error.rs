@@ -1,7 +1,4 @@
-//! Errors of a demo.
-
-use std::io;
-use std::path::{Path, PathBuf};
+//! What can go wrong with a study.
 
 use shared::control::pid::GainError;
 use shared::control::residual::ResidualError;
@@ -9,25 +6,70 @@ use thiserror::Error;
 
 use data::recording::DatasetError;
 use data::tensors::TensorError;
+use data::workspace::WorkspaceError;
+use device::DeviceError;
+use device::simulated::ServeError;
+use device::upload::UploadError;
 use learn::controller::learned::LearnedError;
 use learn::pipeline::PipelineError;
 use plant::bench::BenchError;
+use plant::bench::family::FamilyError;
 use score::baselines::TuneError;
+use score::bound::BoundError;
 use show::report::ReportError;
 use ventilator::SourceError;
+use ventilator::collect::CollectError;
 
-/// An error of a demo.
+/// Why a study, or one of a farm's units, cannot go on.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the messages name every field")]
 pub enum StudyError {
+    /// The description of a farm is not valid, or a unit is not the one it describes.
+    #[error("{line}: {message}")]
+    Description { line: String, message: String },
+    /// The ventilator's safe state ended too many breaths.
+    #[error(
+        "the ventilator's safe state ended {0} breath(s): check lung and sensor of this unit, or lower the highest of --pips, then run the same command again"
+    )]
+    Aborted(usize),
+    /// The sensor cannot be corrected.
+    #[error("the calibration is refused: {0}")]
+    Calibration(String),
+    /// The device does not hold what was stored.
+    #[error(
+        "the device does not hold the {0} that was stored on it: check its flash and the supply, then run the same command again"
+    )]
+    NotStored(&'static str),
+    /// No unit has what the next stage needs.
+    #[error("no unit has a simulator that describes it: see the problems of the units")]
+    NoUnit,
+    /// The folder belongs to another run, or a file cannot be used.
+    #[error(transparent)]
+    Workspace(#[from] WorkspaceError),
     /// The search for the best PID failed.
     #[error(transparent)]
     Tune(#[from] TuneError),
+    /// The search for the reference bound failed.
+    #[error(transparent)]
+    Bound(#[from] BoundError),
     /// Recording, fitting or training failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// An evaluation failed.
+    /// A collection failed.
+    #[error(transparent)]
+    Collect(#[from] CollectError),
+    /// A device in this process failed.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// A device failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// A source of breaths failed.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// An upload failed.
+    #[error(transparent)]
+    Upload(#[from] UploadError),
     /// A bench description is not valid.
     #[error(transparent)]
     Bench(#[from] BenchError),
@@ -49,10 +91,15 @@ pub enum StudyError {
     /// A report could not be written.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// Any other file could not be used.
-    #[error("cannot use {path}: {source}")]
-    #[expect(missing_docs, reason = "the message names every field")]
-    File { path: PathBuf, source: io::Error },
+    /// Weights cannot be signed.
+    #[error("cannot sign the weights: {0}")]
+    Sign(String),
+    /// A family of plants is not valid.
+    #[error(transparent)]
+    Family(#[from] FamilyError),
+    /// Work that only some studies do failed.
+    #[error(transparent)]
+    Other(Box<dyn std::error::Error + Send + Sync>),
     /// Stopped; the folder contains the results so far.
     #[error("stopped; run the same command again to continue")]
     Stopped,
@@ -62,12 +109,11 @@ pub enum StudyError {
 }
 
 /// Result of a study's steps.
-pub(crate) type Result<T, E = StudyError> = std::result::Result<T, E>;
+pub type Result<T, E = StudyError> = std::result::Result<T, E>;
 
 impl StudyError {
-    /// Wraps an I/O error with the path of its file.
-    pub(crate) fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
-        let path = path.to_owned();
-        move |source| Self::File { path, source }
+    /// Wraps an error of work that only some studies do.
+    pub fn other(error: impl std::error::Error + Send + Sync + 'static) -> Self {
+        Self::Other(Box::new(error))
     }
 }

@@ -5,4 +5,4 @@ pub mod demo;
 mod error;
 pub mod farm;
 
-pub use error::StudyError;
+pub use error::{Result, StudyError};

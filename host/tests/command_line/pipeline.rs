@@ -186,9 +186,12 @@ fn a_controller_is_trained_on_simulators_already_fitted() {
     assert!(summary["train_curve"].as_array().is_some_and(|curve| !curve.is_empty()));
     Learned::load(&place.path("once/controller.safetensors")).unwrap();
     assert_eq!(place.json(line), summary, "a second call finds it done");
-    for other in ["--seed 2", "--lambda 0.5"] {
+    for (other, what) in [
+        ("--seed 2", "`seed` is 1 there and 2 here; choose another folder"),
+        ("--lambda 0.5", "`lambda` is 1.0 there and 0.5 here; choose another folder"),
+    ] {
         let refused = place.refused(&format!("{line} {other}"));
-        assert!(refused.contains("another seed or configuration: choose another folder"), "{refused}");
+        assert!(refused.contains("once belongs to another run: ") && refused.contains(what), "{refused}");
     }
 }
 

@@ -8,6 +8,8 @@ use thiserror::Error;
 
 /// The accuracy that manufacturers usually declare, and the tolerance of this project's tests.
 pub const USUAL: Band = Band { fixed: 2.0, percent: 4.0 };
+/// Relative difference below which two bounds are equal.
+const TIE: f64 = 1e-9;
 /// Step to which a declared number is rounded up.
 const STEP: f64 = 0.1;
 
@@ -81,7 +83,7 @@ pub struct PhaseAccuracy {
 pub(super) fn accuracy(errors: &[(f64, f64)]) -> Option<PhaseAccuracy> {
     let largest = errors.iter().map(|(_, error)| *error).reduce(f64::max)?;
     let shares = errors.iter().map(|(set, error)| error / USUAL.at(*set));
-    let band = tightest(errors);
+    let band = tightest(errors)?;
     let up = |value: f64| (value / STEP - 1e-9).ceil().max(0.0) / (1.0 / STEP);
     Some(PhaseAccuracy {
         breaths: errors.len(),
@@ -91,44 +93,45 @@ pub(super) fn accuracy(errors: &[(f64, f64)]) -> Option<PhaseAccuracy> {
     })
 }
 
-/// The band that covers all pairs and has the smallest mean: it passes through one edge of their upper hull, or through
-/// a corner with A or B at 0.
-fn tightest(errors: &[(f64, f64)]) -> Band {
-    let mean = errors.iter().map(|(set, _)| set).sum::<f64>() / errors.len() as f64;
-    let hull = upper_hull(errors);
-    let highest = hull.iter().map(|(_, error)| *error).fold(0.0, f64::max);
-    let steepest =
-        hull.iter().filter(|(set, _)| *set > 0.0).map(|(set, error)| error / set).fold(0.0, f64::max);
-    let flat = (highest, 0.0);
-    let edges = hull.windows(2).map(|pair| {
-        let slope = (pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0);
-        (pair[0].1 - slope * pair[0].0, slope)
-    });
-    let through_zero = hull.iter().all(|(set, _)| *set > 0.0).then_some((0.0, steepest));
-    let candidates = edges.chain(through_zero).filter(|(fixed, slope)| *fixed >= 0.0 && *slope > 0.0);
-    let cost = |(fixed, slope): (f64, f64)| fixed + slope * mean;
-    // A share of the set pressure must be worth more than a rounding error.
-    let best = candidates.fold(flat, |best, next| if cost(next) < cost(best) - 1e-9 { next } else { best });
-    Band { fixed: best.0, percent: 100.0 * best.1 }
+/// The band that covers all pairs of target and absolute error: of all that do, the one with the smallest mean over the pairs. Targets
+/// are not negative. None without a pair, or if a number is not finite.
+pub fn tightest(errors: &[(f64, f64)]) -> Option<Band> {
+    if errors.is_empty() || errors.iter().any(|(target, error)| !(target.is_finite() && error.is_finite())) {
+        return None;
+    }
+    let mut errors = errors.to_vec();
+    errors.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.total_cmp(&other.1)));
+    let mean = errors.iter().map(|(target, _)| target).sum::<f64>() / errors.len() as f64;
+    let hull = upper_hull(&errors);
+    let through_zero = hull.iter().filter(|(target, _)| *target > 0.0).map(|(target, error)| error / target);
+    let edges = hull.windows(2).map(|edge| (edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0));
+    // The mean bound is convex in the slope, with its corners at these slopes.
+    let mut slopes: Vec<f64> =
+        edges.chain(through_zero).filter(|slope| *slope > 0.0 && slope.is_finite()).collect();
+    slopes.sort_by(f64::total_cmp);
+    let bound = |slope: f64| {
+        let fixed = hull.iter().map(|(target, error)| error - slope * target).fold(0.0, f64::max);
+        (fixed + slope * mean, Band { fixed, percent: 100.0 * slope })
+    };
+    // Of equal bounds, the one with the smaller share: of a single target, the absolute one.
+    let better =
+        |best: (f64, Band), other: (f64, Band)| if other.0 < best.0 * (1.0 - TIE) { other } else { best };
+    Some(slopes.into_iter().map(bound).fold(bound(0.0), better).1)
 }
 
-/// Corners of the upper convex hull, from left to right.
+/// Corners of the upper hull of points that are sorted by their first coordinate.
 fn upper_hull(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let mut sorted = points.to_vec();
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let mut hull: Vec<(f64, f64)> = Vec::new();
-    for point in sorted {
-        while let Some(last) = hull.last().copied() {
-            let same = last.0 >= point.0;
-            let below = hull.len().checked_sub(2).map(|n| hull[n]).is_some_and(|first| {
-                (last.1 - first.1) * (point.0 - first.0) <= (point.1 - first.1) * (last.0 - first.0)
-            });
-            if !(same || below) {
+    for point in points {
+        while let [.., before, last] = hull[..] {
+            let turn =
+                (last.0 - before.0) * (point.1 - before.1) - (last.1 - before.1) * (point.0 - before.0);
+            if turn < 0.0 {
                 break;
             }
             hull.pop();
         }
-        hull.push(point);
+        hull.push(*point);
     }
     hull
 }
@@ -195,7 +198,7 @@ mod tests {
             let mean = |band: &Band| errors.iter().map(|(set, _)| band.at(*set)).sum::<f64>() / errors.len() as f64;
             let other = Band { fixed, percent };
             if errors.iter().all(|(set, error)| *error <= other.at(*set)) {
-                prop_assert!(mean(&tightest(&errors)) <= mean(&other) + 1e-6);
+                prop_assert!(mean(&tightest(&errors).unwrap()) <= mean(&other) + 1e-6);
             }
         }
     }

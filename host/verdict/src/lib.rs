@@ -29,7 +29,7 @@ use std::ops::Range;
 use serde::Serialize;
 use thiserror::Error;
 
-pub use self::accuracy::{Band, NoBand, PhaseAccuracy, USUAL};
+pub use self::accuracy::{Band, NoBand, PhaseAccuracy, USUAL, tightest};
 use self::breath::lung_name;
 pub use self::breath::{Breath, Unjudged};
 use self::curve::BreathCurve;

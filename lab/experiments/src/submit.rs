@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use progress::{Progress, Stage};
 use thiserror::Error;
 
-use campaign::CampaignError;
+use campaign::WorkspaceError;
 use campaign::record::Ending;
 use campaign::shards::{RunFolder, ShardState};
 use data::files::write_atomically;
@@ -36,7 +36,7 @@ const NAMED: usize = 5;
 pub enum SubmitError {
     /// The folder cannot be used.
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
+    Workspace(#[from] WorkspaceError),
     /// A program of the engine cannot be started.
     #[error("cannot run {program}: {source}; {hint}")]
     Program { program: &'static str, source: io::Error, hint: &'static str },
@@ -113,7 +113,7 @@ impl Job {
     /// Writes a script into the folder.
     fn write(&self, name: &str, script: &str) -> Result<PathBuf, SubmitError> {
         let path = self.log().join(name);
-        write_atomically(&path, script.as_bytes()).map_err(CampaignError::file(&path))?;
+        write_atomically(&path, script.as_bytes()).map_err(WorkspaceError::file(&path))?;
         Ok(path)
     }
 

@@ -8,7 +8,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use campaign::{CampaignError, Sums, Work, engine};
+use campaign::{Sums, Work, WorkspaceError, engine};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
@@ -40,7 +40,7 @@ pub enum SweepError {
     Figure { number: u64, point: String, figure: String, json: PathBuf },
     /// The sweep cannot be divided, kept or merged.
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
+    Workspace(#[from] WorkspaceError),
 }
 
 /// A sweep, as a TOML file describes it.

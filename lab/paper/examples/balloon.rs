@@ -3,7 +3,7 @@
 //! Run with `cargo run --release --example balloon -p paper`. It records breaths with a cautious PI, learns a simulator
 //! and through it a controller, and scores the controller on the balloon itself.
 
-use learn::pipeline;
+use learn::pipeline::{self, Outcome};
 use paper::authors::{self, baseline};
 use plant::balloon::PERIOD_US;
 use progress::Progress;
@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let config = authors::pipeline(seed);
     let pid = Controller::Pid(Pid::new(config.gains, PERIOD_US)?);
     let source = |_| Ok(Box::new(BalloonSource::new(pid.clone())) as Box<dyn Source>);
-    let outcome = pipeline::run(&config, &[&source], None, &Progress::silent())?;
+    let outcome: Outcome = pipeline::run(&config, &[&source], None, &Progress::silent())?;
     for (number, round) in outcome.rounds.iter().enumerate() {
         let open_loop = round.open_loop.last().map_or(0.0, |errors| errors.measured);
         println!(

@@ -6,19 +6,18 @@ use shared::control::features::{CLOCK, FEATURES, FeatureSpec, LEAKY, PAST_COMMAN
 use shared::control::pid::{Pid, PidGains};
 use shared::explore::Exploration;
 
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{Piece, Study, piece};
 use super::{Reproduction, lungs};
-use crate::error::Result;
 use learn::controller::authors::AuthorsController;
 use learn::controller::{ControllerArchitecture, Trainable};
-use learn::pipeline::{Outcome, PAPER_PERIOD_US, PipelineConfig, run_on_benches_as};
+use learn::pipeline::{Outcome, PAPER_PERIOD_US, PipelineConfig, run_on_benches};
 use learn::simulator::fit::FitConfig;
 use learn::simulator::model::Architecture;
 use learn::simulator::stitched::StitchedConfig;
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::evaluate::{Plan, evaluate, evaluate_law};
+use study::Result;
 
 /// The result of a variant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -113,7 +112,7 @@ fn ablation(study: &Study<'_>, variant: &Variant, folder: &str) -> Result<Ablati
         }
         ControllerArchitecture::Authors { .. } => {
             let outcome = lungs::train_by(study, folder, |run, progress| {
-                run_on_benches_as::<AuthorsController>(config, benches, Some(run), progress)
+                run_on_benches::<AuthorsController>(config, benches, Some(run), progress)
             })?;
             scored(study, variant, &outcome)
         }

@@ -7,9 +7,9 @@ use shared::control::pid::Pid;
 use super::study::Study;
 use super::{Reproduction, lungs};
 use crate::authors::{self, baseline};
-use crate::error::Result;
 use learn::pipeline;
 use plant::balloon::PERIOD_US;
+use study::Result;
 use ventilator::{BalloonSource, Source, SourceError};
 
 /// The authors' scores, cmH2O: the best PI of their grid, their network trained on the plant itself, and their network

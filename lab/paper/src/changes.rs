@@ -5,9 +5,9 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{generalist, rivals};
-use crate::error::Result;
 use plant::bench::{BenchConfig, PatientConfig};
 use score::evaluate::{EVALUATE, InspirationRecord};
+use study::Result;
 use ventilator::{BenchSource, Source};
 
 /// Number of breaths before the change, and from the change on.

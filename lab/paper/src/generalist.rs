@@ -5,9 +5,9 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::error::Result;
 use learn::pipeline::PipelineConfig;
 use score::evaluate::Evaluation;
+use study::Result;
 
 /// Folder of the controller.
 const FOLDER: &str = "generalist";

@@ -5,9 +5,9 @@ use shared::breath::ISO_ROWS;
 
 use super::generalist;
 use super::study::Study;
-use crate::error::Result;
 use plant::bench::BenchConfig;
 use score::evaluate::EVALUATE;
+use study::Result;
 use trials::test_table::{Outcome, outcome};
 
 /// Result of a row.

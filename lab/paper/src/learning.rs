@@ -6,10 +6,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{Piece, Study, piece};
 use super::{Reproduction, lungs};
-use crate::error::{PaperError, Result};
 use engine::LANES;
 use laws::rl::compare::{Algorithm, RlConfig, train};
 use laws::rl::policy::evaluate;
@@ -17,6 +15,7 @@ use learn::controller::{PlantModels, TrainConfig, Training};
 use learn::pipeline::{self, PipelineConfig};
 use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
+use study::{Result, StudyError};
 
 /// Gradient steps between two validations of our training.
 const OURS_VALIDATED_EVERY: usize = 10;
@@ -95,7 +94,7 @@ fn rival(
     algorithm: Algorithm,
     simulators: &[Simulator],
 ) -> Result<LearnerResult> {
-    let (held_out, trained_on) = simulators.split_last().ok_or(PaperError::Stopped)?;
+    let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
     let trained = train(algorithm, trained_on, held_out, &config, &study.progress.of(algorithm.name()))?;
     Ok(LearnerResult {
@@ -112,7 +111,7 @@ fn ours(
     config: &PipelineConfig,
     simulators: &[Simulator],
 ) -> Result<LearnerResult> {
-    let (held_out, trained_on) = simulators.split_last().ok_or(PaperError::Stopped)?;
+    let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let train = TrainConfig {
         batch: LANES,
         validate_every: OURS_VALIDATED_EVERY,
@@ -123,9 +122,10 @@ fn ours(
     let samples = |iteration: usize| (LANES * iteration) as u64 * ticks;
     let iterations = train.iterations;
     let training = Training::new(config.residual(), &[PlantModels { trained_on, held_out }], train, None)?;
-    let (trained, curve) = pipeline::train(training, iterations, None, &study.progress.of("ours"))?;
-    let curve = curve.iter().map(|point| (samples(point.iteration), point.validation)).collect();
-    let controller = Controller::Residual(trained.controller);
+    let (plant, seed) = (held_out.plant.clone(), study.reproduction.seed);
+    let trained = pipeline::train(training, plant, seed, None, &study.progress.of("ours"))?;
+    let curve = trained.curve.iter().map(|point| (samples(point.iteration), point.validation)).collect();
+    let controller = Controller::Residual(trained.learned.controller);
     Ok(LearnerResult {
         score: study.evaluate(bench, &controller)?.mean.score,
         samples: samples(iterations),

@@ -9,7 +9,6 @@ mod ablations;
 pub mod authors;
 mod balloon;
 mod changes;
-mod error;
 mod generalist;
 mod iso;
 mod learning;
@@ -20,18 +19,18 @@ mod reproduction;
 mod results;
 mod rivals;
 pub mod shards;
-mod side_by_side;
 mod study;
 #[cfg(test)]
 mod tests;
 mod tracking;
 mod unseen;
 
-use error::Result;
+use campaign::on_threads;
 use progress::Progress;
 
+use self::study::{Piece, Study, piece};
+use ::study::Result;
 pub use ablations::Ablation;
-pub use error::PaperError;
 pub use report::{headline, lungs_table};
 pub use reproduction::{Budget, Experiment, Reproduction};
 pub use results::{
@@ -39,8 +38,6 @@ pub use results::{
     UnseenFigures,
 };
 pub use rivals::{Contender, Contest};
-use side_by_side::{Piece, piece, side_by_side};
-use study::Study;
 
 impl Experiment {
     /// The experiments in groups: those of a group need only earlier groups. Within a group, long pieces come first.
@@ -114,12 +111,12 @@ pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Resul
         for experiment in group.iter().filter(|experiment| experiment.runs_for(&reproduction.only)) {
             pieces.extend(experiment.pieces(&study)?);
         }
-        side_by_side(&pieces)?;
+        on_threads(rayon::current_num_threads(), pieces.iter(), |piece| piece())?;
     }
     let results = Results::gather(&study)?;
-    study.write("results.json", &results)?;
+    study.folder.save_indented("results.json", &results)?;
     let report = report::report(&study, &results)?;
-    report.save(study.path("report.html"))?;
+    report.save(study.folder.path("report.html"))?;
     report.save_markdown(&reproduction.out, "results")?;
     Ok(results)
 }

@@ -1,8 +1,8 @@
 //! Reference bounds of the lungs, to show which part of the gap between PID and bound a controller closes.
 
 use super::study::Study;
-use crate::error::Result;
 use score::bound::{Bound, BoundConfig, bounds};
+use study::Result;
 
 /// Searches the reference bound of every lung.
 pub(super) fn limits(study: &Study<'_>) -> Result<Vec<Bound>> {

@@ -6,15 +6,15 @@ use shared::control::Controller;
 use shared::control::pid::PidGains;
 
 use super::Reproduction;
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
-use crate::error::{PaperError, Result};
+use super::study::{CONTROLLER, Piece, Study, piece};
+use data::workspace::Workspace;
 use learn::controller::Trainable;
-use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError};
+use learn::pipeline::{self, Outcome, PipelineConfig, PipelineError};
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::baselines::{Best, tune_pid};
 use score::evaluate::{Evaluation, Plan};
+use study::{Result, StudyError};
 
 /// The best PIDs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -43,7 +43,7 @@ pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids> {
         let plan = Plan::tuning(*seed);
         let result = tune_pid(study.lungs(), &budget.search, &plan, &study.progress)?;
         if !result.complete {
-            return Err(PaperError::Stopped);
+            return Err(StudyError::Stopped);
         }
         let lungs = result.lungs.into_iter().map(|lung| lung.best).collect();
         Ok(TunedPids { lungs, over_all: result.over_all })
@@ -114,12 +114,12 @@ pub(super) fn train(
 pub(super) fn train_by<C: Trainable>(
     study: &Study<'_>,
     folder: &str,
-    run: impl FnOnce(&Folder, &Progress<'_>) -> Result<Outcome<C>, PipelineError>,
+    run: impl FnOnce(&Workspace, &Progress<'_>) -> Result<Outcome<C>, PipelineError>,
 ) -> Result<Outcome<C>> {
-    let outcome = run(&Folder::new(study.path(folder)), &study.progress.of(folder))?;
+    let outcome = run(&study.folder.folder(folder), &study.progress.of(folder))?;
     if !outcome.complete {
-        return Err(PaperError::Stopped);
+        return Err(StudyError::Stopped);
     }
-    outcome.learned.save(&study.path(folder).join("controller.safetensors"))?;
+    outcome.learned.save(&study.folder.folder(folder).path(CONTROLLER))?;
     Ok(outcome)
 }

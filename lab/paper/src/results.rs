@@ -11,11 +11,11 @@ use super::lungs::LungScores;
 use super::study::Study;
 use super::unseen::Unseen;
 use super::{Ablation, Contest, ablations, learning, lungs, rivals, unseen};
-use crate::error::Result;
 use data::provenance::git_revision;
 use plant::bench::BenchConfig;
 use score::bound::Bound;
 use score::evaluate::{Evaluation, Score, ValveEffort};
+use study::Result;
 
 /// Mean scores on one lung, cmH2O.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

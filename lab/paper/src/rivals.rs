@@ -4,17 +4,17 @@
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
+use thiserror::Error;
 
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{Piece, Study, piece};
 use super::unseen;
-use crate::error::{PaperError, Result};
 use laws::rivals::Rival;
 use laws::rivals::machine::Machine;
 use learn::controller::shipped;
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use score::evaluate::{Plan, Score, evaluate_law};
+use study::{Result, StudyError};
 use trials::robust::rivals::family_pid;
 use ventilator::SourceError;
 use ventilator::law::AnyLaw;
@@ -68,18 +68,24 @@ fn place(bench: &BenchConfig) -> String {
 /// The controllers by name.
 fn laws(study: &Study<'_>) -> Result<Vec<(&'static str, AnyLaw)>> {
     let (family, period_us) = (Family::find(FAMILY)?, study.plan().period_us);
-    let pid = AnyLaw::new(study.pid(family_pid(&family, &study.progress)?)?);
+    let pid = AnyLaw::new(study.pid(family_pid(&family, &study.progress).map_err(StudyError::other)?)?);
     let mut laws = vec![("family's PID", pid)];
     for rival in Rival::ALL {
-        laws.push((rival.name(), rival.law(&rival.tuned(), Machine::of(&family.nominal()), period_us)?));
+        let law = rival.law(&rival.tuned(), Machine::of(&family.nominal()), period_us);
+        laws.push((rival.name(), law.map_err(StudyError::other)?));
     }
     laws.push((FAMILY, AnyLaw::new(shipped()?)));
     Ok(laws)
 }
 
+/// The program has no controller with the family's name.
+#[derive(Debug, Error)]
+#[error("no controller {FAMILY} comes with this program")]
+struct NotShipped;
+
 /// The shipped learned controller of the family.
 pub(super) fn shipped() -> Result<Controller> {
-    let residual = shipped::residual(FAMILY).ok_or(PaperError::NotShipped(FAMILY))?;
+    let residual = shipped::residual(FAMILY).ok_or_else(|| StudyError::other(NotShipped))?;
     Ok(Controller::Residual(residual))
 }
 
@@ -88,7 +94,7 @@ fn contest(study: &Study<'_>, bench: &BenchConfig, laws: &[(&'static str, AnyLaw
     let subject = place(bench);
     let contender = |(name, law): &(&str, AnyLaw)| {
         let score = |plan: &Plan| match evaluate_law(bench, law, plan, &study.progress.of(&subject)) {
-            Err(SourceError::Stopped) => Err(PaperError::Stopped),
+            Err(SourceError::Stopped) => Err(StudyError::Stopped),
             evaluated => Ok(evaluated?.mean),
         };
         Ok(Contender { controller: (*name).to_owned(), first: score(&first)?, later: score(&later)? })

@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 
 use super::study::Study;
 use super::{Budget, Experiment, Reproduction};
-use crate::error::{PaperError, Result};
 use plant::bench::BenchConfig;
 use progress::{Progress, Stage, Task};
+use study::{Result, StudyError};
 
 /// The paper's experiments, divided among tasks: pieces.
 pub const PIECES: Stage = Stage("run experiments");
@@ -91,7 +91,7 @@ fn complete(
         let mut waiting = Vec::new();
         for number in open {
             if study.progress.stopped() {
-                return Err(PaperError::Stopped);
+                return Err(StudyError::Stopped);
             }
             let (_, experiment, place) = places[number];
             let name = format!("{experiment:?}-{place}").to_lowercase();
@@ -116,7 +116,7 @@ fn complete(
 impl Work for Shards<'_> {
     type Question = Question;
     type Sums = Pieces;
-    type Error = PaperError;
+    type Error = StudyError;
 
     fn question(&self) -> Question {
         let Reproduction { seed, budget, lungs, only, .. } = self.0;
@@ -137,7 +137,7 @@ impl Work for Shards<'_> {
         let claims = Claims::new(&RunFolder::new(&self.0.out).claims_folder());
         let outcome = claims.renewed(|| self.run(number as usize, &study, &claims));
         match outcome {
-            Err(PaperError::Stopped) => Ok(None),
+            Err(StudyError::Stopped) => Ok(None),
             outcome => {
                 outcome?;
                 task.advance(1);

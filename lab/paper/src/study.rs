@@ -1,23 +1,34 @@
 //! Shared by the experiments: the folder for their results, and the progress callback.
 
-use std::path::PathBuf;
-
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use super::reproduction::{Budget, Reproduction};
-use crate::error::{PaperError, Result};
-use data::files::{claim, read_json, write_json_indented};
+use data::workspace::Workspace;
 use learn::controller::learned::Learned;
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::evaluate::{Evaluation, Plan, evaluate};
+use study::{Result, StudyError};
+
+/// File of a controller in its folder.
+pub(super) const CONTROLLER: &str = "controller.safetensors";
+
+/// A piece of work that uses the result of no other piece and keeps its own in the study's folder.
+pub(super) type Piece<'a> = Box<dyn Fn() -> Result<()> + Send + Sync + 'a>;
+
+/// A piece of work whose result is needed only in the folder.
+pub(super) fn piece<'a, T>(work: impl Fn() -> Result<T> + Send + Sync + 'a) -> Piece<'a> {
+    Box::new(move || work().map(drop))
+}
 
 /// The lungs, budgets and folder of a reproduction.
 pub(super) struct Study<'a> {
     pub(super) reproduction: &'a Reproduction,
+    /// The folder for all results.
+    pub(super) folder: Workspace,
     pub(super) progress: Progress<'a>,
 }
 
@@ -32,18 +43,15 @@ struct Claim {
 impl<'a> Study<'a> {
     /// Claims the folder, unless it belongs to another study.
     pub(super) fn new(reproduction: &'a Reproduction, progress: &Progress<'a>) -> Result<Self> {
-        let Reproduction { seed, budget, lungs, out, .. } = reproduction;
-        let own = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
-        if claim(out, &own).map_err(PaperError::file(out))? {
-            Ok(Self::unclaimed(reproduction, progress))
-        } else {
-            Err(PaperError::OtherRun(out.display().to_string()))
-        }
+        let Reproduction { seed, budget, lungs, .. } = reproduction;
+        let study = Self::unclaimed(reproduction, progress);
+        study.folder.claim(&Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() })?;
+        Ok(study)
     }
 
     /// The study in a folder that may belong to any; nothing is read or written.
     pub(super) fn unclaimed(reproduction: &'a Reproduction, progress: &Progress<'a>) -> Self {
-        Self { reproduction, progress: *progress }
+        Self { reproduction, folder: Workspace::new(&reproduction.out), progress: *progress }
     }
 
     /// The lungs to train on.
@@ -54,11 +62,6 @@ impl<'a> Study<'a> {
     /// Index of the middle lung of the list, used by experiments on a single lung.
     pub(super) fn middle(&self) -> usize {
         self.lungs().len() / 2
-    }
-
-    /// A file or folder within the study's folder.
-    pub(super) fn path(&self, name: &str) -> PathBuf {
-        self.reproduction.out.join(name)
     }
 
     /// The evaluation plan; all controllers meet the same sensor noise.
@@ -78,7 +81,7 @@ impl<'a> Study<'a> {
 
     /// The controller trained in this subfolder of the study.
     pub(super) fn learned(&self, folder: &str) -> Result<Controller> {
-        let learned = Learned::load(&self.path(folder).join("controller.safetensors"))?;
+        let learned = Learned::load(&self.folder.folder(folder).path(CONTROLLER))?;
         Ok(Controller::Residual(learned.controller))
     }
 
@@ -88,26 +91,19 @@ impl<'a> Study<'a> {
         name: &str,
         work: impl FnOnce() -> Result<T>,
     ) -> Result<T> {
-        if let Some(kept) = self.kept(name)? {
-            return Ok(kept);
-        }
-        let result = work()?;
-        if self.progress.stopped() {
-            return Err(PaperError::Stopped);
-        }
-        self.write(&format!("{name}.json"), &result)?;
-        Ok(result)
+        self.folder.keep(&file_of(name), || {
+            let result = work()?;
+            if self.progress.stopped() { Err(StudyError::Stopped) } else { Ok(result) }
+        })
     }
 
     /// The result kept under this name.
     pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>> {
-        let path = self.path(&format!("{name}.json"));
-        read_json(&path).map_err(PaperError::file(&path))
+        Ok(self.folder.load(&file_of(name))?)
     }
+}
 
-    /// Writes a value as JSON.
-    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<()> {
-        let path = self.path(name);
-        write_json_indented(&path, value).map_err(PaperError::file(&path))
-    }
+/// The file of a result.
+fn file_of(name: &str) -> String {
+    format!("{name}.json")
 }

@@ -6,11 +6,12 @@ use std::sync::atomic::AtomicBool;
 
 use super::shards::Shards;
 use super::*;
-use crate::PaperError;
+use ::study::StudyError;
 use campaign::Share;
 use campaign::record::Options;
 use campaign::shards::RunFolder;
 use clap::ValueEnum;
+use data::workspace::WorkspaceError;
 use laws::rl::compare::RlConfig;
 use learn::pipeline::PipelineConfig;
 use plant::bench::BenchConfig;
@@ -73,7 +74,7 @@ fn a_folder_of_another_study_is_refused() {
     run_small(out.path(), &[]);
     let other = Reproduction { seed: 2, ..small(out.path(), &[]) };
     let refused = run(&other, &Progress::silent());
-    assert!(matches!(refused, Err(PaperError::OtherRun(_))));
+    assert!(matches!(refused, Err(StudyError::Workspace(WorkspaceError::OtherRun { .. }))));
 }
 
 #[test]

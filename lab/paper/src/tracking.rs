@@ -5,8 +5,8 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{generalist, lungs};
-use crate::error::Result;
 use score::evaluate::{BreathTrace, trace};
+use study::Result;
 
 /// The waveform shown, cmH2O.
 const PIP: f32 = 20.0;

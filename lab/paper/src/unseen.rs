@@ -4,13 +4,12 @@
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
-use super::side_by_side::{Piece, piece};
-use super::study::Study;
+use super::study::{Piece, Study, piece};
 use super::{Reproduction, generalist};
-use crate::error::{PaperError, Result};
 use plant::bench::{BenchConfig, CompartmentConfig};
 use score::baselines::tune_pid;
 use score::evaluate::{Evaluation, Plan};
+use study::{Result, StudyError};
 
 /// A plant not used in training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -55,7 +54,7 @@ fn plant(
     let progress = study.progress.of(&subject);
     let own = tune_pid(std::slice::from_ref(bench), &budget.search, &Plan::tuning(*seed), &progress)?;
     if !own.complete {
-        return Err(PaperError::Stopped);
+        return Err(StudyError::Stopped);
     }
     Ok(Unseen {
         plant: bench.name.clone(),

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 use super::{PartOf, Run, RunFolder};
-use crate::difference;
 use crate::done::Done;
-use crate::{Campaign, CampaignError, CampaignOf, Share, Sums, Work};
+use crate::{Campaign, CampaignOf, Share, Sums, Work, WorkspaceError};
+use data::difference;
 use data::files::read_json;
 
 /// Most problems that an error names.
@@ -19,7 +19,7 @@ const NAMED: usize = 10;
 pub enum MergeError {
     /// The folder cannot be used.
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
+    Workspace(#[from] WorkspaceError),
     /// No shard has begun there.
     #[error("{} contains no sharded run: run its shards first, with --shard i/n", .0.display())]
     NoRun(PathBuf),
@@ -71,9 +71,9 @@ impl RunFolder {
     where
         W::Question: Sync,
     {
-        let Some(shards) = self.shards()? else { return Err(MergeError::NoRun(self.0.clone())) };
+        let Some(shards) = self.shards()? else { return Err(MergeError::NoRun(self.path.clone())) };
         let part = PartOf::new(work, units, shards);
-        self.claim(&part.run)?;
+        self.shards.claim(&part.run)?;
         let mut sums = work.nothing();
         let mut problems = Problems::default();
         for share in Share::all(shards) {
@@ -86,19 +86,19 @@ impl RunFolder {
         }
         let problems = problems.in_words(shards);
         if !problems.is_empty() {
-            return Err(MergeError::Problems { path: self.0.clone(), problems });
+            return Err(MergeError::Problems { path: self.path.clone(), problems });
         }
         Ok(Campaign { question: part.run.question, share: Share::WHOLE, done: Done::below(units), sums })
     }
 
     /// What is there of a shard.
-    fn shard<W: Work>(&self, part: &PartOf<'_, W>, share: Share) -> Result<Shard<W::Sums>, CampaignError>
+    fn shard<W: Work>(&self, part: &PartOf<'_, W>, share: Share) -> Result<Shard<W::Sums>, WorkspaceError>
     where
         W::Question: Sync,
     {
         type Found<W> = Campaign<Run<<W as Work>::Question>, <W as Work>::Sums>;
         let file = self.shard_file(share);
-        let Some(found) = read_json::<Found<W>>(&file).map_err(CampaignError::file(&file))? else {
+        let Some(found) = read_json::<Found<W>>(&file).map_err(WorkspaceError::file(&file))? else {
             return Ok(Shard::Missing);
         };
         Ok(if found.share != share {

@@ -1,16 +1,14 @@
 //! Values that every task of a run needs, such as the best PID of a family: the first task computes one, the rest wait and read it.
 
-use std::path::PathBuf;
-
 use progress::Progress;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{RunFolder, same};
-use crate::CampaignError;
+use super::RunFolder;
+use crate::WorkspaceError;
 use crate::claims::{Claims, State};
-use data::files::{read_json, write_json_indented};
 use data::provenance::build_id;
+use data::workspace::same;
 
 /// What a value is about.
 #[derive(Serialize)]
@@ -32,7 +30,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// A folder that cannot be used, a value of another question or build, or a computation that fails.
-    pub fn once<Q: Serialize, T: Serialize + DeserializeOwned, E: From<CampaignError>>(
+    pub fn once<Q: Serialize, T: Serialize + DeserializeOwned, E: From<WorkspaceError>>(
         &self,
         name: &str,
         question: &Q,
@@ -68,16 +66,17 @@ impl RunFolder {
         &self,
         name: &str,
         question: &impl Serialize,
-    ) -> Result<Option<T>, CampaignError> {
-        let path = self.value_file(name);
-        let kept = read_json::<Kept<serde_json::Value, T>>(&path).map_err(CampaignError::file(&path))?;
-        let Some(Kept { about, value }) = kept else { return Ok(None) };
-        same(&path, &about, &About { build: build_id(), question })?;
+    ) -> Result<Option<T>, WorkspaceError> {
+        let file = file_of(name);
+        let Some(Kept { about, value }) = self.shards.load::<Kept<serde_json::Value, T>>(&file)? else {
+            return Ok(None);
+        };
+        same(&self.shards.path(&file), &about, &About { build: build_id(), question })?;
         Ok(Some(value))
     }
 
     /// The value, computed by the task that holds its claim, unless the last holder has kept it just before.
-    fn kept_or<Q: Serialize, T: Serialize + DeserializeOwned, E: From<CampaignError>>(
+    fn kept_or<Q: Serialize, T: Serialize + DeserializeOwned, E: From<WorkspaceError>>(
         &self,
         name: &str,
         question: &Q,
@@ -92,13 +91,12 @@ impl RunFolder {
             // It may be that of a computation that has ended early.
             return Ok(None);
         }
-        let (path, about) = (self.value_file(name), About { build: build_id(), question });
-        let kept = Kept { about, value };
-        write_json_indented(&path, &kept).map_err(CampaignError::file(&path))?;
+        let kept = Kept { about: About { build: build_id(), question }, value };
+        self.shards.save_indented(&file_of(name), &kept)?;
         Ok(Some(kept.value))
     }
+}
 
-    fn value_file(&self, name: &str) -> PathBuf {
-        self.0.join("shards").join(format!("{name}.json"))
-    }
+fn file_of(name: &str) -> String {
+    format!("{name}.json")
 }

@@ -5,7 +5,7 @@ use serde::Deserialize;
 use super::RunFolder;
 use crate::done::Done;
 use crate::record::Record;
-use crate::{CampaignError, Share};
+use crate::{Share, WorkspaceError};
 use data::files::read_json;
 
 /// How far a shard is.
@@ -45,22 +45,19 @@ impl RunFolder {
     ///
     /// # Errors
     /// A file that cannot be read.
-    pub fn states(&self) -> Result<Vec<ShardState>, CampaignError> {
-        let path = self.run_file();
-        let Some(run) = read_json::<Run>(&path).map_err(CampaignError::file(&path))? else {
-            return Ok(Vec::new());
-        };
+    pub fn states(&self) -> Result<Vec<ShardState>, WorkspaceError> {
+        let Some(run) = self.shards.recipe::<Run>()? else { return Ok(Vec::new()) };
         let state = |share: Share| {
             let (file, record) = (self.shard_file(share), self.record_file(share));
             let complete = file.exists();
             let file = if complete { file } else { self.part_file(share) };
-            let campaign = read_json::<Campaign>(&file).map_err(CampaignError::file(&file))?;
+            let campaign = read_json::<Campaign>(&file).map_err(WorkspaceError::file(&file))?;
             Ok(ShardState {
                 share,
                 done: campaign.map_or(0, |campaign| campaign.done.count()),
                 units: share.count(run.units),
                 complete,
-                record: read_json(&record).map_err(CampaignError::file(&record))?,
+                record: read_json(&record).map_err(WorkspaceError::file(&record))?,
             })
         };
         Share::all(run.shards).map(state).collect()

@@ -8,17 +8,15 @@
 //!
 //! The number of gradient steps is fixed, not the time: the same seed must give the same controller on any machine.
 //!
-//! With a folder, the recording and the training's checkpoints are saved there, and a stopped run continues.
-
-mod joint;
+//! With a folder, the training's checkpoints are saved there, and a stopped training continues.
 
 use std::ops::Range;
+use std::slice;
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::checksum::crc32;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::{Residual, ResidualError};
@@ -27,8 +25,7 @@ use shared::settings::Settings;
 use thiserror::Error;
 
 use super::family::FamilyRun;
-use super::training::learned;
-use super::{Folder, PipelineError};
+use super::{PipelineError, TrainedOnce, of_round, train};
 use crate::controller::learned::Learned;
 use crate::controller::{CurvePoint, FamilyConfig, FamilyModels, FamilyTraining, Stepwise};
 use crate::simulator::episode::{Episode, episodes};
@@ -36,12 +33,13 @@ use crate::simulator::fit::{FIT, Fit, FitConfig};
 use crate::simulator::model::{Architecture, Model, Simulator};
 use crate::simulator::open_loop::open_loop;
 use crate::simulator::unit::spread::{self, Around};
-use crate::simulator::unit::{UnitConfig, UnitNumbers};
+use crate::simulator::unit::{PER_UNIT, UnitConfig, UnitNumbers};
 use data::recording::{INSPIRATION, Recording};
+use data::workspace::Workspace;
 use engine::adam::AdamConfig;
 use progress::{Progress, Task};
-use ventilator::collect::{CollectConfig, CollectError, collect};
-use ventilator::{Source, seeds};
+use ventilator::collect::CollectConfig;
+use ventilator::seeds;
 
 /// Learning rate, as a share of that of the family's training. With a tenth, scores on the true benches of three units fell by up to
 /// one percentage point less in the same number of steps.
@@ -53,11 +51,6 @@ pub const BREATHS_NEEDED: usize = 8;
 /// Largest open-loop distance to the measured pressure on breaths left out of the fit, cmH2O. On 32 units like those of the adult
 /// family it was 0.09 to 0.36, sensor noise included; commissioning lowers the error by less than this limit.
 pub const OPEN_LOOP_LIMIT: f64 = 0.6;
-/// Name of the recording in the folder.
-pub const RECORDING: &str = "recording.parquet";
-/// Name of a recording that was stopped or failed.
-const PARTIAL: &str = "recording.partial.parquet";
-
 /// Configuration of a commissioning.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -174,16 +167,6 @@ pub struct Commissioned {
     pub complete: bool,
 }
 
-/// The settings that must match to continue a stopped commissioning.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Claim {
-    run: CommissionRun,
-    /// Address of the unit, or description of the bench.
-    unit: String,
-    /// Checksum of the starting controller.
-    start: u32,
-}
-
 impl CommissionRun {
     /// The default in breaths with these settings and PIPs, cmH2O.
     pub fn of(settings: &Settings, pips: &[f32]) -> Self {
@@ -194,98 +177,102 @@ impl CommissionRun {
         run
     }
 
-    /// Claims a folder for this commissioning of a unit, from a starting controller.
-    ///
-    /// # Errors
-    /// The folder contains another run.
-    pub fn claim(&self, folder: &Folder, unit: &str, start: &Residual) -> Result<(), PipelineError> {
-        let weights = start.network().parameters().flat_map(|weight| weight.to_le_bytes());
-        let start = crc32(&weights.collect::<Vec<u8>>());
-        folder.claim(&Claim { run: self.clone(), unit: unit.to_owned(), start })
-    }
-
-    /// The complete recording in the folder.
-    ///
-    /// # Errors
-    /// There is none, or it cannot be read.
-    pub fn recorded(folder: &Folder) -> Result<Recording, PipelineError> {
-        Ok(Recording::load(folder.whole(RECORDING))?)
-    }
-
     /// The PID that records, at a control period in microseconds.
-    fn pid(&self, period_us: u32) -> Result<Controller, PipelineError> {
+    ///
+    /// # Errors
+    /// Gains that are not valid.
+    pub fn pid(&self, period_us: u32) -> Result<Controller, PipelineError> {
         Ok(Controller::Pid(Pid::new(self.collector, period_us).map_err(ResidualError::from)?))
     }
 
-    /// The configuration of the recording.
-    pub fn collection(&self) -> CollectConfig {
-        CollectConfig { seed: seeds::collection(self.seed, 0), ..self.collect.clone() }
+    /// The configuration of the recording of a unit, by its number among the units. Each has PIPs and perturbations of its own.
+    pub fn collection(&self, unit: u64) -> CollectConfig {
+        CollectConfig { seed: seeds::collection(self.seed, unit), ..self.collect.clone() }
     }
 
-    /// Records the unit into the folder. A recording that was stopped or failed is kept under another name, and repeated by the next
-    /// call.
-    ///
-    /// # Errors
-    /// A unit that cannot be recorded, or a recording that was stopped.
-    pub fn record(
-        &self,
-        source: &mut dyn Source,
-        folder: &Folder,
-        progress: &Progress<'_>,
-    ) -> Result<Recording, PipelineError> {
-        let pid = self.pid(source.period_us())?;
-        let partial = folder.whole(PARTIAL);
-        let recording = match collect(source, &pid, &self.collection(), progress) {
-            Err(CollectError::Interrupted { reason, collected }) => {
-                collected.recording.save(&partial)?;
-                let (breaths, file) = (collected.breaths, partial.display().to_string());
-                return Err(PipelineError::Interrupted { reason, breaths, file });
-            }
-            outcome => outcome?.recording,
-        };
-        if progress.stopped() {
-            if !recording.is_empty() {
-                recording.save(&partial)?;
-            }
-            return Err(PipelineError::Stopped);
-        }
-        recording.save(folder.whole(RECORDING))?;
-        Ok(recording)
-    }
-
-    /// Fits a simulator to a recording and checks it on breaths left out of the fit.
+    /// Fits a simulator to a recording and checks it on breaths left out of the fit: each part of the recording is left out of one fit.
     ///
     /// # Errors
     /// A breath that the safe state ended, too few complete breaths, or a stopped fit.
     pub fn check(&self, recording: &Recording, progress: &Progress<'_>) -> Result<Checked, PipelineError> {
-        let breaths = self.complete_breaths(recording)?;
-        let shape = self.shape(recording.provenance.period_us, 1);
-        let name = &recording.provenance.plant;
-        let task = progress.task(FIT, self.fit.epochs * (self.parts + 1));
-        let fits: Vec<Option<(Simulator, f64)>> = (0..=self.parts)
+        let (_, mut units) = self.check_units(slice::from_ref(recording), self.parts, progress)?;
+        units.pop().ok_or(PipelineError::NoSimulator)
+    }
+
+    /// Fits one simulator to the recordings of several units, with parameters of each, and checks it on one part that is left out.
+    /// Returns it with what each recording tells, in their order.
+    ///
+    /// # Errors
+    /// No recording, a breath that the safe state ended, too few complete breaths, or a stopped fit.
+    pub fn check_jointly(
+        &self,
+        recordings: &[Recording],
+        progress: &Progress<'_>,
+    ) -> Result<(Simulator, Vec<Checked>), PipelineError> {
+        self.check_units(recordings, 1, progress)
+    }
+
+    /// Fits one simulator to all breaths of some units, and a further one for each of so many parts left out.
+    fn check_units(
+        &self,
+        recordings: &[Recording],
+        parts: usize,
+        progress: &Progress<'_>,
+    ) -> Result<(Simulator, Vec<Checked>), PipelineError> {
+        let Some(first) = recordings.first() else { return Err(PipelineError::NoSimulator) };
+        let shape = self.shape(first.provenance.period_us, recordings.len());
+        let breaths = self.breaths_of_units(recordings)?;
+        let plants: Vec<&str> =
+            recordings.iter().map(|recording| recording.provenance.plant.as_str()).collect();
+        let (name, task) = (plants.join(", "), progress.task(FIT, self.fit.epochs * (parts + 1)));
+        let fits: Option<Vec<Simulator>> = (0..=parts)
             .into_par_iter()
             .map(|part| {
-                let (left_out, fitted): (Vec<_>, Vec<_>) =
-                    breaths.iter().enumerate().partition(|(n, _)| n % self.parts == part);
-                let [left_out, fitted]: [Vec<&Episode>; 2] =
-                    [left_out, fitted].map(|part| part.into_iter().map(|(_, breath)| breath).collect());
-                let simulator = self.fitted(shape, &fitted, name, &task)?;
-                let distance = open_loop(&simulator, &left_out).measured;
-                Some((simulator, distance))
+                // No breath is left out of the last fit.
+                let fitted = breaths.iter().enumerate();
+                let fitted = fitted.filter(|(number, _)| part == parts || number % self.parts != part);
+                self.fitted(shape, &fitted.map(|(_, breath)| breath).collect::<Vec<_>>(), &name, &task)
             })
             .collect();
-        let fits: Option<Vec<_>> = fits.into_iter().collect();
-        // No breath is left out of the last fit.
-        let Some((simulator, distances)) = fits.and_then(|mut fits| Some((fits.pop()?.0, fits))) else {
-            return Err(PipelineError::Stopped);
+        let mut checked = fits.ok_or(PipelineError::Stopped)?;
+        let whole = checked.pop().ok_or(PipelineError::Stopped)?;
+        let unit = |(unit, plant): (u32, &&str)| {
+            let own = breaths.iter().enumerate().filter(move |(_, breath)| breath.ventilator == Some(unit));
+            let simulator = Simulator {
+                architecture: Architecture::Unit(UnitConfig { units: 1, ..shape }),
+                parameters: whole.parameters[unit as usize * PER_UNIT..][..PER_UNIT].to_vec(),
+                plant: (*plant).to_owned(),
+                ..whole.clone()
+            };
+            self.told(&own.collect::<Vec<_>>(), simulator, &checked)
+        };
+        let units = (0..).zip(&plants).map(unit).collect();
+        Ok((whole, units))
+    }
+
+    /// What the numbered breaths of a unit tell, by its simulator and by those from whose fit a part was left out.
+    fn told(&self, breaths: &[(usize, &Episode)], simulator: Simulator, checked: &[Simulator]) -> Checked {
+        let distance = |(part, simulator): (usize, &Simulator)| {
+            let left_out = breaths.iter().filter(|(number, _)| number % self.parts == part);
+            open_loop(simulator, &left_out.map(|(_, breath)| *breath).collect::<Vec<_>>()).measured
         };
         let figures = Figures {
             breaths: breaths.len(),
-            open_loop: distances.iter().map(|(_, distance)| distance).sum::<f64>() / self.parts as f64,
+            open_loop: checked.iter().enumerate().map(distance).sum::<f64>() / checked.len() as f64,
             noise: simulator.noise,
             unit: UnitNumbers::of(&simulator.parameters),
         };
-        Ok(Checked { simulator, figures })
+        Checked { simulator, figures }
+    }
+
+    /// The complete breaths of all units, which name their unit.
+    fn breaths_of_units(&self, recordings: &[Recording]) -> Result<Vec<Episode>, PipelineError> {
+        let mut breaths = Vec::new();
+        for (unit, recording) in (0..).zip(recordings) {
+            let own = self.complete_breaths(recording)?.into_iter();
+            breaths.extend(own.map(|breath| Episode { ventilator: Some(unit), group: Some(unit), ..breath }));
+        }
+        Ok(breaths)
     }
 
     /// Checks that a recording can be fitted.
@@ -343,7 +330,7 @@ impl CommissionRun {
         &self,
         start: &Residual,
         units: &[&Simulator],
-        folder: Option<&Folder>,
+        folder: Option<&Workspace>,
         progress: &Progress<'_>,
     ) -> Result<Commissioned, PipelineError> {
         let noises = units.iter().map(|unit| unit.noise);
@@ -352,21 +339,19 @@ impl CommissionRun {
         };
         let noise = (self.noise.0 * least, self.noise.1 * most + f32::EPSILON);
         let config = FamilyConfig { noise, seed: seeds::training(self.seed, 0), ..self.train.clone() };
-        let iterations = config.iterations;
         let weights: Vec<f32> = start.network().parameters().copied().collect();
         let models = self.models(units, start.spec().period_us);
         let training = FamilyTraining::new(*start.spec(), models, config, Some(&weights))?;
         let (before, _) = training.checkpoint().best;
-        let (trained, curve) =
-            super::train(training, iterations, folder.map(|folder| (folder, 0)), progress)?;
-        let winner = match (trained.improved, trained.validation < before) {
+        let plants: Vec<&str> = units.iter().map(|unit| unit.plant.as_str()).collect();
+        let folder = folder.map(|folder| of_round(folder, 0));
+        let trained = train(training, plants.join(", "), self.seed, folder.as_ref(), progress)?;
+        let TrainedOnce { learned, improved, curve, complete } = trained;
+        let winner = match (improved, learned.origin.validation < before) {
             (false, _) => Winner::Pid,
             (true, false) => Winner::Start,
             (true, true) => Winner::FineTuned,
         };
-        let complete = curve.last().map_or(0, |point| point.iteration) >= iterations;
-        let plants: Vec<&str> = units.iter().map(|unit| unit.plant.as_str()).collect();
-        let learned = learned(trained, plants.join(", "), self.seed);
         Ok(Commissioned { learned, winner, start: before, curve, complete })
     }
 

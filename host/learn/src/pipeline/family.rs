@@ -19,17 +19,17 @@ use shared::control::residual::{ResidualError, ResidualSpec};
 use shared::control::{COMMAND_MAX, Controller};
 use shared::device::KNOWN_GOOD;
 
-use super::training::learned;
-use super::{Folder, PipelineError, TrainedOnce};
+use super::{PipelineError, TrainedOnce, of_round, train};
 use crate::controller::{FamilyConfig, FamilyModels, FamilyTraining};
 use crate::simulator::episode::{Episode, episodes};
 use crate::simulator::fit::{Fit, FitConfig};
 use crate::simulator::model::{Architecture, Model, Simulator};
 use crate::simulator::unit::{UnitConfig, spread};
+use data::workspace::Workspace;
 use engine::adam::AdamConfig;
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
-use progress::{Progress, Stage, Task};
+use progress::{Progress, Stage};
 use ventilator::collect::{CollectConfig, collect};
 use ventilator::{BenchSource, seeds};
 
@@ -113,25 +113,22 @@ impl FamilyRun {
     pub fn run(
         &self,
         family: &Family,
-        folder: Option<&Folder>,
+        folder: Option<&Workspace>,
         progress: &Progress<'_>,
     ) -> Result<TrainedOnce, PipelineError> {
         let first = family.draw(seeds::units(self.seed), 0);
         if let Some(folder) = folder {
             folder.claim(&Claim { run: self.clone(), first })?;
         }
-        let units = self.units(family, folder, progress)?;
-        let nominal = self.nominal(family, folder, progress)?;
+        let folder = folder.map(|folder| of_round(folder, 0));
+        let units = self.units(family, folder.as_ref(), progress)?;
+        let nominal = || self.nominal(family);
+        let nominal = kept(folder.as_ref(), "nominal.safetensors", progress.stopped(), nominal)?
+            .ok_or(PipelineError::Stopped)?;
         let config =
             FamilyConfig { noise: noise(&units), seed: seeds::training(self.seed, 0), ..self.train.clone() };
-        let iterations = config.iterations;
         let training = FamilyTraining::new(self.residual(), self.models(&units, &nominal), config, None)?;
-        let (trained, curve) =
-            super::train(training, iterations, folder.map(|folder| (folder, 0)), progress)?;
-        let complete = curve.last().map_or(0, |point| point.iteration) >= iterations;
-        let improved = trained.improved;
-        let learned = learned(trained, format!("family {}", family.name), self.seed);
-        Ok(TrainedOnce { learned, improved, curve, complete })
+        train(training, format!("family {}", family.name), self.seed, folder.as_ref(), progress)
     }
 
     /// The residual's fixed parts.
@@ -149,35 +146,19 @@ impl FamilyRun {
     fn units(
         &self,
         family: &Family,
-        folder: Option<&Folder>,
+        folder: Option<&Workspace>,
         progress: &Progress<'_>,
     ) -> Result<Vec<Simulator>, PipelineError> {
         let count = self.units + self.held_out;
         let task = progress.task(UNITS, count as usize);
-        let units: Result<Vec<_>, PipelineError> =
-            (0..count).into_par_iter().map(|number| self.unit(number, family, folder, &task)).collect();
-        units?.into_iter().collect::<Option<_>>().ok_or(PipelineError::Stopped)
-    }
-
-    /// The simulator of a unit; none if the run was stopped.
-    fn unit(
-        &self,
-        number: u32,
-        family: &Family,
-        folder: Option<&Folder>,
-        task: &Task<'_>,
-    ) -> Result<Option<Simulator>, PipelineError> {
-        let file = folder.map(|folder| folder.file(0, &format!("unit-{number}.safetensors")));
-        let simulator = match file.as_ref().filter(|file| file.exists()) {
-            Some(file) => Simulator::load(file)?,
-            None if task.stopped() => return Ok(None),
-            None => self.fitted(number, family)?,
+        let unit = |number: u32| {
+            let name = format!("unit-{number}.safetensors");
+            let simulator = kept(folder, &name, task.stopped(), || self.fitted(number, family))?;
+            task.advance(usize::from(simulator.is_some()));
+            Ok(simulator)
         };
-        if let Some(file) = file.filter(|file| !file.exists()) {
-            simulator.save(&file)?;
-        }
-        task.advance(1);
-        Ok(Some(simulator))
+        let units: Result<Vec<_>, PipelineError> = (0..count).into_par_iter().map(unit).collect();
+        units?.into_iter().collect::<Option<_>>().ok_or(PipelineError::Stopped)
     }
 
     /// Records a unit and fits its simulator.
@@ -187,20 +168,8 @@ impl FamilyRun {
         Ok(self.fit(1, &breaths, &bench.name))
     }
 
-    /// The simulator of the nominal machine with several lungs: all breaths share the valve of its first unit.
-    fn nominal(
-        &self,
-        family: &Family,
-        folder: Option<&Folder>,
-        progress: &Progress<'_>,
-    ) -> Result<Simulator, PipelineError> {
-        let file = folder.map(|folder| folder.file(0, "nominal.safetensors"));
-        if let Some(file) = file.as_ref().filter(|file| file.exists()) {
-            return Ok(Simulator::load(file)?);
-        }
-        if progress.stopped() {
-            return Err(PipelineError::Stopped);
-        }
+    /// Records the nominal machine with several lungs and fits its simulator: all breaths share the valve of its first unit.
+    fn nominal(&self, family: &Family) -> Result<Simulator, PipelineError> {
         let machine = family.nominal();
         let first = self.units + self.held_out;
         let of_lung = |n: u32| {
@@ -209,11 +178,7 @@ impl FamilyRun {
         };
         let breaths: Vec<Vec<Episode>> =
             (0..self.nominal).into_par_iter().map(of_lung).collect::<Result<_, PipelineError>>()?;
-        let simulator = self.fit(self.nominal as usize, &breaths.concat(), &machine.name);
-        if let Some(file) = file {
-            simulator.save(&file)?;
-        }
-        Ok(simulator)
+        Ok(self.fit(self.nominal as usize, &breaths.concat(), &machine.name))
     }
 
     /// Records breaths of a bench under the known-good PID, for the lung of this unit of a simulator.
@@ -269,6 +234,26 @@ impl FamilyRun {
         spread::put_extremes(recorded, &mut parameters, share(self.extreme_share), rng);
         parameters
     }
+}
+
+/// The simulator that the folder keeps under a name or, if there is none, a new one, which is then kept; none if the run was stopped
+/// before.
+fn kept(
+    folder: Option<&Workspace>,
+    name: &str,
+    stopped: bool,
+    fit: impl FnOnce() -> Result<Simulator, PipelineError>,
+) -> Result<Option<Simulator>, PipelineError> {
+    let file = folder.map(|folder| folder.path(name));
+    if let Some(file) = file.as_ref().filter(|file| file.exists()) {
+        return Ok(Some(Simulator::load(file)?));
+    }
+    if stopped {
+        return Ok(None);
+    }
+    let simulator = fit()?;
+    file.map_or(Ok(()), |file| simulator.save(&file))?;
+    Ok(Some(simulator))
 }
 
 /// Range of the sensor noise of these units, standard deviation, cmH2O.

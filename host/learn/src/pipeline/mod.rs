@@ -6,10 +6,18 @@
 //!
 //! With a folder, every stage saves its result there, and a stopped run continues where it stopped; it then gives the
 //! same files as an uninterrupted run.
+//!
+//! ```text
+//! run.json                     configuration; a run with a different one is refused
+//! round-0/recording-P.parquet  breaths of the round, from plant P
+//! round-0/recording-P.partial.parquet  the breaths before the plant failed
+//! round-0/simulator-P-N.safetensors, round-0/fit.json
+//! round-0/training.json        checkpoint of the training
+//! round-0/controller.safetensors
+//! ```
 
 pub mod commission;
 pub mod family;
-mod folder;
 mod stages;
 mod training;
 
@@ -34,13 +42,13 @@ use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
 use data::recording::{DatasetError, Recording};
 use data::tensors::TensorError;
+use data::workspace::{Workspace, WorkspaceError};
 use plant::bench::BenchConfig;
 use progress::Progress;
 use ventilator::collect::{CollectConfig, CollectError};
 use ventilator::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 
-pub use folder::Folder;
-pub use training::{TrainedOnce, train, train_on_simulators};
+pub use training::{TrainedOnce, checksum, train, train_on_simulators};
 
 /// Control period of the paper's authors, microseconds.
 pub const PAPER_PERIOD_US: u32 = 30_000;
@@ -192,19 +200,9 @@ pub enum PipelineError {
         /// Number of breaths needed.
         needed: usize,
     },
-    /// The folder belongs to another run.
-    #[error(
-        "{0} contains a run on another plant, or with another seed or configuration: choose another folder or remove it"
-    )]
-    OtherRun(String),
-    /// A state file of the folder cannot be read or written.
-    #[error("{path}: {reason}")]
-    Folder {
-        /// Path of the file.
-        path: String,
-        /// The problem.
-        reason: String,
-    },
+    /// The folder belongs to another run, or cannot be used.
+    #[error(transparent)]
+    Workspace(#[from] WorkspaceError),
     /// A unit must not be commissioned.
     #[error(transparent)]
     Commission(#[from] commission::Problem),
@@ -307,29 +305,16 @@ pub struct Outcome<C = Residual> {
 /// Creates the source of a round from its seed.
 pub type MakeSource<'a, L = Controller> = &'a (dyn Fn(u64) -> Result<Box<dyn Source<L>>, SourceError> + Sync);
 
-/// Runs the rounds for our controller; see [`run_as`].
-///
-/// # Errors
-/// See [`run_as`].
-pub fn run(
-    config: &PipelineConfig,
-    sources: &[MakeSource<'_>],
-    folder: Option<&Folder>,
-    progress: &Progress<'_>,
-) -> Result<Outcome, PipelineError> {
-    run_as(config, sources, folder, progress)
-}
-
 /// Runs the rounds for a controller of the architecture `C`, which the configuration must name, on one or several plants, in memory
 /// or with a folder to continue from. Each plant has its own recording and simulators; the controller is trained on all of them at
 /// once.
 ///
 /// # Errors
 /// The error of the first stage that fails; files of earlier stages stay.
-pub fn run_as<C: Trainable>(
+pub fn run<C: Trainable>(
     config: &PipelineConfig,
     sources: &[MakeSource<'_, C::Law>],
-    folder: Option<&Folder>,
+    folder: Option<&Workspace>,
     progress: &Progress<'_>,
 ) -> Result<Outcome<C>, PipelineError> {
     config.specification::<C>()?;
@@ -349,23 +334,10 @@ pub fn run_as<C: Trainable>(
 ///
 /// # Errors
 /// See [`run`]; also a bench that is refused.
-pub fn run_on_benches(
+pub fn run_on_benches<C: Trainable>(
     config: &PipelineConfig,
     benches: &[BenchConfig],
-    folder: Option<&Folder>,
-    progress: &Progress<'_>,
-) -> Result<Outcome, PipelineError> {
-    run_on_benches_as(config, benches, folder, progress)
-}
-
-/// Like [`run_as`], on benches: a ventilator in this process on each.
-///
-/// # Errors
-/// See [`run`]; also a bench that is refused.
-pub fn run_on_benches_as<C: Trainable>(
-    config: &PipelineConfig,
-    benches: &[BenchConfig],
-    folder: Option<&Folder>,
+    folder: Option<&Workspace>,
     progress: &Progress<'_>,
 ) -> Result<Outcome<C>, PipelineError> {
     let base = config.base::<C>()?;
@@ -379,24 +351,29 @@ pub fn run_on_benches_as<C: Trainable>(
     let sources: Vec<_> = benches.iter().map(make).collect();
     let sources: Vec<MakeSource<'_, C::Law>> =
         sources.iter().map(|source| source as MakeSource<'_, C::Law>).collect();
-    run_as(config, &sources, folder, progress)
+    run(config, &sources, folder, progress)
 }
 
-/// Like [`run_as`], on a plant behind the plant link. All rounds share one link, so the plant need not accept several.
+/// Like [`run`], on a plant behind the plant link. All rounds share one link, so the plant need not accept several.
 ///
 /// # Errors
 /// See [`run`].
 pub fn run_on_plant<C: Trainable>(
     config: &PipelineConfig,
     link: &SharedLink,
-    folder: Option<&Folder>,
+    folder: Option<&Workspace>,
     progress: &Progress<'_>,
 ) -> Result<Outcome<C>, PipelineError> {
     let base = config.base::<C>()?;
     let source = |seed| -> Result<Box<dyn Source<C::Law>>, SourceError> {
         Ok(Box::new(PlantSource::new(link.clone(), base.clone(), config.period_us, seed)))
     };
-    run_as(config, &[&source], folder, progress)
+    run(config, &[&source], folder, progress)
+}
+
+/// The part of a round in the folder of a run.
+fn of_round(folder: &Workspace, round: usize) -> Workspace {
+    folder.folder(&format!("round-{round}"))
 }
 
 #[cfg(test)]

@@ -3,15 +3,17 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::training::learned;
-use super::{Folder, MakeSource, Outcome, PipelineConfig, PipelineError, Round, Studied};
+use super::{
+    MakeSource, Outcome, PipelineConfig, PipelineError, Round, Studied, TrainedOnce, of_round, training,
+};
 use crate::controller::learned::Learned;
-use crate::controller::{CurvePoint, PlantModels, TrainConfig, Trainable, Trained, Training};
+use crate::controller::{PlantModels, TrainConfig, Trainable, Training};
 use crate::simulator::episode::{Episode, episodes, split};
 use crate::simulator::fit::{FIT, Fit, FitConfig};
 use crate::simulator::model::Simulator;
 use crate::simulator::open_loop::{OpenLoop, open_loop};
 use data::recording::Recording;
+use data::workspace::Workspace;
 use progress::{Progress, Task};
 use ventilator::collect::{COLLECT, CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
@@ -23,7 +25,7 @@ const BREATHS_NEEDED: usize = 8;
 pub(super) struct Run<'a, C: Trainable> {
     config: &'a PipelineConfig,
     sources: &'a [MakeSource<'a, C::Law>],
-    folder: Option<&'a Folder>,
+    folder: Option<&'a Workspace>,
     progress: Progress<'a>,
     recordings: Vec<Recording>,
     /// Simulators of each plant, the held-out one last.
@@ -44,7 +46,7 @@ impl<'a, C: Trainable> Run<'a, C> {
     pub(super) fn new(
         config: &'a PipelineConfig,
         sources: &'a [MakeSource<'a, C::Law>],
-        folder: Option<&'a Folder>,
+        folder: Option<&'a Workspace>,
         progress: &Progress<'a>,
     ) -> Self {
         Self {
@@ -67,17 +69,18 @@ impl<'a, C: Trainable> Run<'a, C> {
             return Ok(false);
         }
         let Some(fitted) = self.fit(round)? else { return Ok(false) };
-        let (trained, train_curve) = self.train(round)?;
+        let TrainedOnce { learned, improved, curve, .. } = self.train(round)?;
         self.rounds.push(Round {
             breaths,
             aborts,
             fit_curve: fitted.curve,
             open_loop: fitted.open_loop,
-            train_curve,
-            validation: trained.validation,
-            base: trained.base,
-            improved: trained.improved,
+            train_curve: curve,
+            validation: learned.origin.validation,
+            base: learned.origin.base,
+            improved,
         });
+        self.learned = Some(learned);
         Ok(!self.stopped())
     }
 
@@ -122,14 +125,15 @@ impl<'a, C: Trainable> Run<'a, C> {
 
     /// A plant's recording of the round.
     fn recorded(&self, round: usize, plant: usize, task: &Task<'_>) -> Result<Recording, PipelineError> {
-        let file = self.folder.map(|folder| folder.file(round, &format!("recording-{plant}.parquet")));
+        let file =
+            self.folder.map(|folder| of_round(folder, round).path(&format!("recording-{plant}.parquet")));
         if let Some(file) = file.as_ref().filter(|file| file.exists()) {
             task.advance(self.config.collect.breaths);
             return Ok(Recording::load(file)?);
         }
-        let collected = match (self.record(round, plant, task), self.folder) {
-            (Err(PipelineError::Collect(CollectError::Interrupted { reason, collected })), Some(folder)) => {
-                let file = folder.file(round, &format!("recording-{plant}.partial.parquet"));
+        let collected = match (self.record(round, plant, task), &file) {
+            (Err(PipelineError::Collect(CollectError::Interrupted { reason, collected })), Some(file)) => {
+                let file = file.with_extension("partial.parquet");
                 collected.recording.save(&file)?;
                 let (breaths, file) = (collected.breaths, file.display().to_string());
                 return Err(PipelineError::Interrupted { reason, breaths, file });
@@ -187,26 +191,26 @@ impl<'a, C: Trainable> Run<'a, C> {
         };
         let mut simulators = fits.into_iter().map(|(simulator, _)| simulator);
         self.simulators = (0..parts.len()).map(|_| simulators.by_ref().take(members).collect()).collect();
-        if let Some(folder) = self.folder {
+        if let Some(folder) = self.folder.map(|folder| of_round(folder, round)) {
             for (plant, simulators) in self.simulators.iter().enumerate() {
                 for (member, simulator) in simulators.iter().enumerate() {
-                    simulator.save(&folder.file(round, &simulator_name(plant, member)))?;
+                    simulator.save(&folder.path(&simulator_name(plant, member)))?;
                 }
             }
-            folder.save(round, "fit.json", &fitted)?;
+            folder.save("fit.json", &fitted)?;
         }
         Ok(Some(fitted))
     }
 
     /// The round's simulators, if an earlier run has saved them.
     fn fitted(&mut self, round: usize) -> Result<Option<Fitted>, PipelineError> {
-        let Some(folder) = self.folder else { return Ok(None) };
-        let Some(fitted) = folder.load::<Fitted>(round, "fit.json")? else { return Ok(None) };
+        let Some(folder) = self.folder.map(|folder| of_round(folder, round)) else { return Ok(None) };
+        let Some(fitted) = folder.load::<Fitted>("fit.json")? else { return Ok(None) };
         let plants = self.sources.len();
         let of_plant = |plant| {
             let members = 0..fitted.open_loop.len() / plants;
             members
-                .map(|member| Simulator::load(&folder.file(round, &simulator_name(plant, member))))
+                .map(|member| Simulator::load(&folder.path(&simulator_name(plant, member))))
                 .collect::<Result<Vec<_>, _>>()
         };
         self.simulators = (0..plants).map(of_plant).collect::<Result<_, _>>()?;
@@ -254,19 +258,18 @@ impl<'a, C: Trainable> Run<'a, C> {
     }
 
     /// Trains the controller on all members except the last.
-    fn train(&mut self, round: usize) -> Result<(Trained<C>, Vec<CurvePoint>), PipelineError> {
+    fn train(&mut self, round: usize) -> Result<TrainedOnce<C>, PipelineError> {
         let training = self.training(round)?;
-        let folder = self.folder.map(|folder| (folder, round));
+        let folder = self.folder.map(|folder| of_round(folder, round));
         let progress = self.progress.round(round);
-        let (trained, curve) = super::train(training, self.config.train.iterations, folder, &progress)?;
-        self.stopped();
         let plants: Vec<&str> = self.recordings.iter().map(|r| r.provenance.plant.as_str()).collect();
-        let learned = learned(trained.clone(), plants.join(" "), self.config.seed);
-        if let Some(folder) = self.folder {
-            learned.save(&folder.file(round, "controller.safetensors"))?;
+        let trained =
+            training::train(training, plants.join(" "), self.config.seed, folder.as_ref(), &progress)?;
+        self.stopped();
+        if let Some(folder) = folder {
+            trained.learned.save(&folder.path("controller.safetensors"))?;
         }
-        self.learned = Some(learned);
-        Ok((trained, curve))
+        Ok(trained)
     }
 
     fn training(&self, round: usize) -> Result<Training<C>, PipelineError> {

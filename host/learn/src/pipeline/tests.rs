@@ -37,7 +37,7 @@ fn source(config: &PipelineConfig) -> impl Fn(u64) -> Result<Box<dyn Source>, So
 }
 
 fn run_small(folder: Option<&Path>, progress: &Progress<'_>) -> Result<Outcome, PipelineError> {
-    let (config, folder) = (small(), folder.map(Folder::new));
+    let (config, folder) = (small(), folder.map(Workspace::new));
     run(&config, &[&source(&config)], folder.as_ref(), progress)
 }
 
@@ -124,8 +124,8 @@ fn one_controller_learns_from_several_plants() {
         Ok(Box::new(BenchSource::new(&lungs[lung], base.clone(), &settings, period_us, seed)?))
     };
     let (first, second) = (|seed| make(0, seed), |seed| make(1, seed));
-    let both = run(&config, &[&first, &second], None, &Progress::silent()).unwrap();
-    let alone = run(&config, &[&first], None, &Progress::silent()).unwrap();
+    let both: Outcome = run(&config, &[&first, &second], None, &Progress::silent()).unwrap();
+    let alone: Outcome = run(&config, &[&first], None, &Progress::silent()).unwrap();
     assert_eq!(both.plants.len(), 2);
     assert_eq!(both.plants[0].recording, alone.plants[0].recording, "a plant does not depend on the others");
     assert_ne!(both.plants[0].recording.u_in, both.plants[1].recording.u_in);
@@ -142,9 +142,9 @@ fn a_folder_of_another_run_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     whole(Some(folder.path()));
     let other = PipelineConfig { seed: 2, ..small() };
-    let folder = Folder::new(folder.path());
-    let result = run(&other, &[&source(&other)], Some(&folder), &Progress::silent());
-    assert!(matches!(result, Err(PipelineError::OtherRun(_))));
+    let folder = Workspace::new(folder.path());
+    let result = run::<Residual>(&other, &[&source(&other)], Some(&folder), &Progress::silent());
+    assert!(matches!(result, Err(PipelineError::Workspace(WorkspaceError::OtherRun { .. }))));
 }
 
 #[test]
@@ -154,7 +154,7 @@ fn a_training_that_does_not_help_ends_with_the_pid() {
     config.train.adam.rate = 1.0e2;
     config.train.iterations = 4;
     config.train.validate_every = 4;
-    let outcome = run(&config, &[&source(&config)], None, &Progress::silent()).unwrap();
+    let outcome: Outcome = run(&config, &[&source(&config)], None, &Progress::silent()).unwrap();
     assert!(!outcome.rounds[0].improved);
     assert!(outcome.learned.controller.network().parameters().all(|weight| weight.to_bits() == 0));
 }

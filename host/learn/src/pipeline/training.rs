@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use shared::checksum::crc32;
 use shared::control::residual::{Residual, ResidualSpec};
 
-use super::{Folder, PipelineConfig, PipelineError};
+use super::{PipelineConfig, PipelineError, of_round};
 use crate::controller::learned::{Learned, Origin};
 use crate::controller::{
     Checkpoint, ControllerArchitecture, CurvePoint, PlantModels, Stepwise, TrainConfig, Trainable, Trained,
@@ -12,6 +12,7 @@ use crate::controller::{
 };
 use crate::simulator::model::Simulator;
 use data::provenance::git_revision;
+use data::workspace::Workspace;
 use progress::{Progress, Stage};
 use ventilator::seeds;
 
@@ -25,40 +26,7 @@ struct Pause {
     curve: Vec<CurvePoint>,
 }
 
-/// Trains for the configured number of gradient steps or until stopped; continues from the checkpoint of a round in the
-/// folder and saves checkpoints there.
-///
-/// # Errors
-/// A checkpoint that cannot be read or written.
-pub fn train<T: Stepwise>(
-    mut training: T,
-    iterations: usize,
-    round: Option<(&Folder, usize)>,
-    progress: &Progress<'_>,
-) -> Result<(Trained<T::Controller>, Vec<CurvePoint>), PipelineError> {
-    let name = "training.json";
-    let mut curve = Vec::new();
-    if let Some((folder, round)) = round
-        && let Some(pause) = folder.load::<Pause>(round, name)?
-    {
-        training.resume(pause.checkpoint);
-        curve = pause.curve;
-    }
-    let task = progress.task(TRAIN, iterations);
-    task.reach(training.iteration());
-    while !task.stopped() {
-        let Some(point) = training.advance() else { break };
-        curve.push(point);
-        task.reach(point.iteration);
-        if let Some((folder, round)) = round {
-            let pause = Pause { checkpoint: training.checkpoint().clone(), curve: curve.clone() };
-            folder.save(round, name, &pause)?;
-        }
-    }
-    Ok((training.finish()?, curve))
-}
-
-/// Results of a training on given simulators.
+/// Results of a training.
 #[derive(Clone, Debug)]
 pub struct TrainedOnce<C = Residual> {
     /// The controller.
@@ -69,6 +37,44 @@ pub struct TrainedOnce<C = Residual> {
     pub curve: Vec<CurvePoint>,
     /// Whether the training was completed.
     pub complete: bool,
+}
+
+/// Trains for the configured number of gradient steps or until stopped, for this plant and from this seed; continues from the
+/// checkpoint in the folder and saves checkpoints there.
+///
+/// # Errors
+/// A checkpoint that cannot be read or written.
+pub fn train<T: Stepwise>(
+    mut training: T,
+    plant: String,
+    seed: u64,
+    folder: Option<&Workspace>,
+    progress: &Progress<'_>,
+) -> Result<TrainedOnce<T::Controller>, PipelineError> {
+    let name = "training.json";
+    let mut curve = Vec::new();
+    if let Some(folder) = folder
+        && let Some(pause) = folder.load::<Pause>(name)?
+    {
+        training.resume(pause.checkpoint);
+        curve = pause.curve;
+    }
+    let (iterations, _) = training.schedule();
+    let task = progress.task(TRAIN, iterations);
+    task.reach(training.iteration());
+    while !task.stopped() {
+        let Some(point) = training.advance() else { break };
+        curve.push(point);
+        task.reach(point.iteration);
+        if let Some(folder) = folder {
+            let pause = Pause { checkpoint: training.checkpoint().clone(), curve: curve.clone() };
+            folder.save(name, &pause)?;
+        }
+    }
+    let Trained { controller, validation, base, improved } = training.finish()?;
+    let origin = Origin { plant, seed, git_revision: git_revision(), validation, base };
+    let complete = training.iteration() >= iterations;
+    Ok(TrainedOnce { learned: Learned { controller, origin }, improved, curve, complete })
 }
 
 /// The settings that must match to continue a stopped training.
@@ -92,7 +98,7 @@ struct Claim {
 pub fn train_on_simulators<C: Trainable>(
     config: &PipelineConfig,
     simulators: &[Simulator],
-    folder: &Folder,
+    folder: &Workspace,
     progress: &Progress<'_>,
 ) -> Result<TrainedOnce<C>, PipelineError> {
     let spec = config.specification::<C>()?;
@@ -109,30 +115,20 @@ pub fn train_on_simulators<C: Trainable>(
         residual: config.residual(),
         controller: config.controller,
         train: train.clone(),
-        simulators: simulators.iter().map(checksum).collect(),
+        simulators: simulators
+            .iter()
+            .map(|one| checksum(one.parameters.iter().chain([&one.noise, &one.start_pressure])))
+            .collect(),
     })?;
     let plant = PlantModels { trained_on, held_out };
     let training = Training::<C>::of(spec, &[plant], train, None)?;
-    let (trained, curve) = self::train(training, config.train.iterations, Some((folder, 0)), progress)?;
-    let complete = curve.last().map_or(0, |point| point.iteration) >= config.train.iterations;
-    let improved = trained.improved;
-    Ok(TrainedOnce {
-        learned: learned(trained, held_out.plant.clone(), config.seed),
-        improved,
-        curve,
-        complete,
-    })
+    let plant = held_out.plant.clone();
+    self::train(training, plant, config.seed, Some(&of_round(folder, 0)), progress)
 }
 
-/// A trained controller with its origin.
-pub(super) fn learned<C>(trained: Trained<C>, plant: String, seed: u64) -> Learned<C> {
-    let Trained { controller, validation, base, .. } = trained;
-    Learned { controller, origin: Origin { plant, seed, git_revision: git_revision(), validation, base } }
-}
-
-fn checksum(simulator: &Simulator) -> u32 {
-    let numbers = simulator.parameters.iter().chain([&simulator.noise, &simulator.start_pressure]);
-    crc32(&numbers.flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>())
+/// Checksum of these numbers.
+pub fn checksum<'a>(numbers: impl IntoIterator<Item = &'a f32>) -> u32 {
+    crc32(&numbers.into_iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>())
 }
 
 /// Checks whether a controller of this period can be trained on a simulator; the error is the reason.
@@ -163,6 +159,7 @@ mod tests {
 
     use super::*;
     use crate::simulator::first_order;
+    use data::workspace::WorkspaceError;
     use progress::Event;
 
     fn small() -> PipelineConfig {
@@ -179,7 +176,7 @@ mod tests {
         folder: &std::path::Path,
         progress: &Progress<'_>,
     ) -> Result<TrainedOnce, PipelineError> {
-        train_on_simulators(config, simulators, &Folder::new(folder), progress)
+        train_on_simulators(config, simulators, &Workspace::new(folder), progress)
     }
 
     #[test]
@@ -213,7 +210,8 @@ mod tests {
         longer.train.iterations = 16;
         for config in [seed, lambda, longer] {
             let refused = again(&config, &simulators).unwrap_err();
-            assert!(matches!(refused, PipelineError::OtherRun(_)), "{refused}");
+            let other = matches!(refused, PipelineError::Workspace(WorkspaceError::OtherRun { .. }));
+            assert!(other, "{refused}");
         }
         let refused = again(&small(), &[first_order(0.9)]).unwrap_err().to_string();
         assert!(refused.contains("choose another folder"), "{refused}");

@@ -16,7 +16,7 @@ pub use ledger::FAULT_SCORE;
 
 use std::collections::BTreeMap;
 
-use campaign::CampaignError;
+use campaign::WorkspaceError;
 use progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use shared::control::pid::{GainError, PidGains};
@@ -148,7 +148,7 @@ pub enum TuneError {
     Source(#[from] SourceError),
     /// The search cannot be divided, kept or merged.
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
+    Workspace(#[from] WorkspaceError),
 }
 
 /// Searches the best P, I, PI and PID for each lung and for all of them together, on all threads. The result does not

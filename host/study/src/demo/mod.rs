@@ -16,8 +16,9 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use crate::error::{Result, StudyError};
-use data::files::{read_json, write_atomically, write_json, write_json_indented};
-use learn::pipeline::{self, Folder, Outcome, PipelineConfig};
+use data::files::write_atomically;
+use data::workspace::{Workspace, WorkspaceError};
+use learn::pipeline::{self, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::baselines::{Best, Search, tune_pid};
@@ -102,9 +103,9 @@ pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<D
 /// The best PID, from a new search or from an earlier run in this folder.
 fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Best> {
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::tuning(config.pipeline.seed) };
-    let file = out.join("tuning.json");
+    let (folder, file) = (Workspace::new(out), "tuning.json");
     // An unreadable file counts as none: the search runs again.
-    let earlier = read_json::<Tuned>(&file).ok().flatten();
+    let earlier = folder.load::<Tuned>(file).ok().flatten();
     if let Some(tuned) = earlier
         && (&tuned.bench, &tuned.search, &tuned.plan) == (&config.bench, &config.search, &plan)
     {
@@ -116,7 +117,7 @@ fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Bes
     }
     let (bench, search) = (config.bench.clone(), config.search.clone());
     let tuned = Tuned { bench, search, plan, best: result.over_all };
-    write_json(&file, &tuned).map_err(StudyError::file(&file))?;
+    folder.save(file, &tuned)?;
     Ok(tuned.best)
 }
 
@@ -125,7 +126,7 @@ fn learn(config: &DemoConfig, gains: PidGains, out: &Path, progress: &Progress<'
     let base = Controller::Pid(Pid::new(gains, pipeline.period_us)?);
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
     let source = |seed| config.venue.source(&config.bench, base.clone(), &settings, period_us, seed);
-    let folder = Folder::new(out.join("run"));
+    let folder = Workspace::new(out.join("run"));
     Ok(pipeline::run(&pipeline, &[&source], Some(&folder), progress)?)
 }
 
@@ -161,9 +162,9 @@ impl Demo {
             simulator.save(&out.join("simulator.safetensors"))?;
         }
         self.outcome.learned.save(&out.join("controller.safetensors"))?;
-        let (image, summary) = (out.join("weights.bin"), out.join("summary.json"));
-        write_atomically(&image, &self.outcome.learned.image()?).map_err(StudyError::file(&image))?;
-        write_json_indented(&summary, &self.summary).map_err(StudyError::file(&summary))?;
+        let image = out.join("weights.bin");
+        write_atomically(&image, &self.outcome.learned.image()?).map_err(WorkspaceError::file(&image))?;
+        Workspace::new(out).save_indented("summary.json", &self.summary)?;
         Ok(self.report().save(out.join("report.html"))?)
     }
 }

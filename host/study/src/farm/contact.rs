@@ -4,7 +4,8 @@ use std::sync::Mutex;
 
 use super::description::{Place, Unit};
 use super::folder::UnitState;
-use super::{FarmError, FarmRun, UnitName, Worker};
+use super::{FarmRun, UnitName, Worker};
+use crate::error::{Result, StudyError};
 use device::Device;
 use device::port::Address;
 use device::simulated::Served;
@@ -22,7 +23,7 @@ pub(super) struct Contact {
 
 impl Contact {
     /// Switches on the device of a virtual unit.
-    pub fn new(unit: &Unit, pace: u32) -> Result<Self, FarmError> {
+    pub fn new(unit: &Unit, pace: u32) -> Result<Self> {
         Ok(match &unit.place {
             Place::Port(address) => Self { address: address.clone(), served: None },
             Place::Bench(bench) => {
@@ -33,12 +34,12 @@ impl Contact {
     }
 
     /// Connects to the device.
-    pub fn device(&self) -> Result<Device, FarmError> {
+    pub fn device(&self) -> Result<Device> {
         Ok(Device::connect(&self.address)?)
     }
 
     /// Connects to the device as a source; a virtual unit's plant starts with this seed.
-    pub fn source(&self, unit: &Unit, seed: u64) -> Result<PortSource, FarmError> {
+    pub fn source(&self, unit: &Unit, seed: u64) -> Result<PortSource> {
         let source = PortSource::new(self.device()?, seed)?;
         Ok(match (&self.served, unit.bench()) {
             (Some(served), Some(bench)) => {
@@ -69,13 +70,13 @@ impl Known {
 
 impl FarmRun<'_> {
     /// Talks to every unit before anything moves. A unit that does not answer is left out; one that answers as another is an error.
-    pub(super) fn contact(&self, workers: &mut [Worker<'_>]) -> Result<(), FarmError> {
+    pub(super) fn contact(&self, workers: &mut [Worker<'_>]) -> Result<()> {
         let known =
-            |worker: &Worker<'_>| Ok(Known { name: worker.unit.name.clone(), state: worker.folder.state()? });
-        let known: Vec<Known> = workers.iter().map(known).collect::<Result<_, FarmError>>()?;
+            |worker: &Worker<'_>| Ok(Known { name: worker.unit.name.clone(), state: worker.state()? });
+        let known: Vec<Known> = workers.iter().map(known).collect::<Result<_>>()?;
         let strangers = Mutex::new(Vec::new());
         self.on_all(workers, |worker| match self.greet(worker, &known) {
-            Err(stranger @ FarmError::Description { .. }) => {
+            Err(stranger @ StudyError::Description { .. }) => {
                 locked(&strangers).push(stranger);
                 Ok(())
             }
@@ -88,7 +89,7 @@ impl FarmRun<'_> {
     }
 
     /// Checks that a device can run the farm's controllers, and that it is the unit that it was.
-    fn greet(&self, worker: &Worker<'_>, known: &[Known]) -> Result<(), FarmError> {
+    fn greet(&self, worker: &Worker<'_>, known: &[Known]) -> Result<()> {
         let unit = worker.unit;
         let mut device = worker.contact.device()?;
         let period_us = device.identify()?.period_us;
@@ -106,7 +107,7 @@ impl FarmRun<'_> {
         }
         match stranger(held.as_ref(), own, known) {
             None => Ok(()),
-            Some(_) if self.adopt.contains(&unit.name) => worker.folder.forget_device(),
+            Some(_) if self.adopt.contains(&unit.name) => worker.forget_device(),
             Some(why) => Err(worker.refused(&format!("answers as another unit: {why}"))),
         }
     }
@@ -114,7 +115,7 @@ impl FarmRun<'_> {
 
 impl Worker<'_> {
     /// Connects to the device, which must still be the unit that it was: boards can change their ports while a farm runs.
-    pub(super) fn recognised(&self) -> Result<Device, FarmError> {
+    pub(super) fn recognised(&self) -> Result<Device> {
         let mut device = self.contact.device()?;
         let (_, held) = device.calibration(0)?;
         self.recognise(held.as_ref())?;
@@ -122,8 +123,8 @@ impl Worker<'_> {
     }
 
     /// Checks that a device that holds this calibration is the unit.
-    pub(super) fn recognise(&self, held: Option<&Calibration>) -> Result<(), FarmError> {
-        let own = Known { name: self.unit.name.clone(), state: self.folder.state()? };
+    pub(super) fn recognise(&self, held: Option<&Calibration>) -> Result<()> {
+        let own = Known { name: self.unit.name.clone(), state: self.state()? };
         match stranger(held, &own, &[]) {
             None => Ok(()),
             Some(why) => Err(self.refused(&format!("answers as another unit: {why}"))),
@@ -131,9 +132,9 @@ impl Worker<'_> {
     }
 
     /// A refusal of the unit, with its line.
-    fn refused(&self, what: &str) -> FarmError {
+    fn refused(&self, what: &str) -> StudyError {
         let Unit { name, place, line, .. } = self.unit;
-        FarmError::Description { line: line.clone(), message: format!("unit {name} at {place} {what}") }
+        StudyError::Description { line: line.clone(), message: format!("unit {name} at {place} {what}") }
     }
 }
 

@@ -1,18 +1,24 @@
 //! The controllers of a farm: one for all units, and from it one for each.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
-use shared::checksum::crc32;
 use shared::control::residual::Residual;
 
-use super::folder::{FarmFolder, load, remove, save};
-use super::{FarmError, FarmRun, UnitName, Worker};
+use super::folder::SIMULATOR;
+use super::{FarmRun, UnitName, Worker};
+use crate::error::{Result, StudyError};
+use data::workspace::Workspace;
 use learn::controller::learned::Learned;
-use learn::pipeline::Folder;
+use learn::pipeline::checksum;
 use learn::pipeline::commission::CommissionRun;
 use learn::simulator::model::Simulator;
 use progress::Progress;
+
+/// File of a controller.
+const CONTROLLER: &str = "controller.safetensors";
+/// File of what it was trained from.
+const ORIGIN: &str = "controller.origin.json";
+/// Folder of the training's checkpoints.
+const TRAINING: &str = "training";
 
 /// The learned controllers.
 pub(super) struct Controllers {
@@ -26,46 +32,31 @@ impl FarmRun<'_> {
     /// Trains the controllers that are missing.
     pub(super) fn train(
         &self,
-        folder: &FarmFolder,
+        folder: &Workspace,
         workers: &[Worker<'_>],
         progress: &Progress<'_>,
-    ) -> Result<Controllers, FarmError> {
+    ) -> Result<Controllers> {
         let mut units = Vec::new();
         for worker in workers.iter().filter(|worker| worker.problem.is_none()) {
-            if worker.folder.figures()?.is_some_and(|figures| figures.unfit.is_none()) {
+            if worker.figures()?.is_some_and(|figures| figures.unfit.is_none()) {
                 units.push(worker);
             }
         }
         let simulators: Result<Vec<_>, _> =
-            units.iter().map(|worker| Simulator::load(&worker.folder.simulator())).collect();
+            units.iter().map(|worker| Simulator::load(&worker.folder.path(SIMULATOR))).collect();
         let simulators = simulators?;
         if simulators.is_empty() {
-            return Err(FarmError::NoUnit);
+            return Err(StudyError::NoUnit);
         }
         let mut run = self.config.run.clone();
         run.train.iterations = self.config.farm_iterations;
         let all: Vec<&Simulator> = simulators.iter().collect();
-        let farm = trained(
-            &run,
-            &folder.controller(),
-            &folder.training(),
-            self.start.1,
-            &all,
-            &progress.of("farm"),
-        )?;
+        let farm = trained(&run, folder, self.start.1, &all, &progress.of("farm"))?;
         let mut each = Vec::new();
         for (worker, simulator) in units.iter().zip(&simulators) {
-            let (name, folder) = (&worker.unit.name, &worker.folder);
+            let (name, run) = (&worker.unit.name, &self.config.run);
             let progress = progress.of(name.as_str());
-            let start = &farm.controller;
-            let own = trained(
-                &self.config.run,
-                &folder.controller(),
-                &folder.training(),
-                start,
-                &[simulator],
-                &progress,
-            )?;
+            let own = trained(run, &worker.folder, &farm.controller, &[simulator], &progress)?;
             each.push((name.clone(), own));
         }
         Ok(Controllers { farm, each })
@@ -81,35 +72,28 @@ struct Origin {
     simulators: Vec<u32>,
 }
 
-/// The controller in a file or, if there is none that was trained from the same, one trained on these simulators.
+/// The controller in a folder or, if there is none that was trained from the same, one trained on these simulators.
 fn trained(
     run: &CommissionRun,
-    file: &Path,
-    folder: &Folder,
+    folder: &Workspace,
     start: &Residual,
     simulators: &[&Simulator],
     progress: &Progress<'_>,
-) -> Result<Learned, FarmError> {
-    let weights: Vec<f32> = start.network().parameters().copied().collect();
-    let simulated = simulators.iter().map(|simulator| checksum(&simulator.parameters));
-    let origin = Origin { start: checksum(&weights), simulators: simulated.collect() };
-    let origin_file = file.with_extension("origin.json");
-    if load(&origin_file)?.as_ref() != Some(&origin) {
-        remove(file)?;
-        remove(&folder.whole(""))?;
-        save(&origin_file, &origin)?;
+) -> Result<Learned> {
+    let simulated = simulators.iter().map(|simulator| checksum(&simulator.parameters)).collect();
+    let origin = Origin { start: checksum(start.network().parameters()), simulators: simulated };
+    if folder.load(ORIGIN)?.as_ref() != Some(&origin) {
+        [CONTROLLER, TRAINING].iter().try_for_each(|name| folder.remove(name))?;
+        folder.save_indented(ORIGIN, &origin)?;
     }
+    let file = folder.path(CONTROLLER);
     if file.exists() {
-        return Ok(Learned::load(file)?);
+        return Ok(Learned::load(&file)?);
     }
-    let tuned = run.tune(start, simulators, Some(folder), progress)?;
+    let tuned = run.tune(start, simulators, Some(&folder.folder(TRAINING)), progress)?;
     if !tuned.complete {
-        return Err(FarmError::Stopped);
+        return Err(StudyError::Stopped);
     }
-    tuned.learned.save(file)?;
+    tuned.learned.save(&file)?;
     Ok(tuned.learned)
-}
-
-fn checksum(numbers: &[f32]) -> u32 {
-    crc32(&numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>())
 }

@@ -6,16 +6,17 @@ use serde::{Deserialize, Serialize};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
-use shared::control::residual::{Residual, ResidualError};
+use shared::control::residual::Residual;
 
 use super::controllers::Controllers;
 use super::flash::id_of;
-use super::folder::{load, save};
-use super::{FarmError, FarmRun, Rivals, UnitName, Worker};
+use super::{FarmConfig, FarmRun, Rivals, UnitName, Worker};
+use crate::error::{Result, StudyError};
 use learn::controller::learned::{Learned, Origin};
-use learn::pipeline::PipelineError;
+use learn::pipeline::commission::CommissionRun;
 use progress::Progress;
 use score::evaluate::{Plan, evaluate_source};
+use ventilator::collect::CollectConfig;
 
 /// Scores of controllers on units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -95,14 +96,16 @@ impl FarmRun<'_> {
         rivals: Option<&Rivals>,
         workers: &mut [Worker<'_>],
         progress: &Progress<'_>,
-    ) -> Result<Crosswise, FarmError> {
+    ) -> Result<Crosswise> {
         let candidates = self.candidates(controllers, rivals)?;
         self.on_all(workers, |worker| self.score_all(worker, &candidates, progress));
         if progress.stopped() {
-            return Err(FarmError::Stopped);
+            return Err(StudyError::Stopped);
         }
-        let scores: Result<Vec<BTreeMap<String, f64>>, FarmError> =
-            workers.iter().map(|worker| Ok(load(&worker.folder.scores()?)?.unwrap_or_default())).collect();
+        let scores: Result<Vec<BTreeMap<String, f64>>> = workers
+            .iter()
+            .map(|worker| Ok(worker.folder.load(&worker.scores()?)?.unwrap_or_default()))
+            .collect();
         let scores = scores?;
         let row = |candidate: &Candidate| MatrixRow {
             controller: candidate.name.clone(),
@@ -125,11 +128,7 @@ impl FarmRun<'_> {
     }
 
     /// The PIDs, the controller that training started from, the farm's, and each unit's own.
-    fn candidates(
-        &self,
-        controllers: &Controllers,
-        rivals: Option<&Rivals>,
-    ) -> Result<Vec<Candidate>, FarmError> {
+    fn candidates(&self, controllers: &Controllers, rivals: Option<&Rivals>) -> Result<Vec<Candidate>> {
         let mut candidates = vec![pid("known-good PID", self.config.run.collector)?];
         if let Some(rivals) = rivals {
             candidates.push(pid("best single PID", rivals.pid)?);
@@ -149,12 +148,14 @@ impl FarmRun<'_> {
         worker: &Worker<'_>,
         candidates: &[Candidate],
         progress: &Progress<'_>,
-    ) -> Result<(), FarmError> {
-        let file = worker.folder.scores()?;
-        let known = || load::<BTreeMap<String, f64>>(&file);
+    ) -> Result<()> {
+        let file = worker.scores()?;
+        let known = || worker.folder.load::<BTreeMap<String, f64>>(&file);
         let count = || known().ok().flatten().map_or(0, |scores| scores.len());
         let progress = progress.of(worker.unit.name.as_str());
-        let plan = self.plan();
+        let FarmConfig { run, breaths_of_learning, scored_breaths, .. } = &self.config;
+        let mut plan = plan(run, *breaths_of_learning, *scored_breaths);
+        plan.seeds.truncate(1);
         self.persist(worker, &progress, &count, |source, _| {
             for candidate in candidates {
                 let mut scores = known()?.unwrap_or_default();
@@ -166,28 +167,20 @@ impl FarmRun<'_> {
                 }
                 let evaluation = evaluate_source(source, &candidate.controller, &plan, &progress);
                 scores.insert(candidate.key.clone(), evaluation?.mean.score);
-                save(&file, &scores)?;
+                worker.folder.save_indented(&file, &scores)?;
             }
             Ok(())
         })
     }
-
-    /// The breaths of the evaluation.
-    fn plan(&self) -> Plan {
-        let run = &self.config.run;
-        let evaluation = Plan::evaluation(run.seed);
-        Plan {
-            period_us: DEFAULT_PERIOD_US,
-            pips: run.collect.pips.clone(),
-            warm_up: self.config.breaths_of_learning,
-            breaths: self.config.scored_breaths,
-            seeds: evaluation.seeds[..1].to_vec(),
-            settings: run.collect.settings,
-        }
-    }
 }
 
-fn learned(name: &str, unit: Option<&UnitName>, learned: &Learned<Residual>) -> Result<Candidate, FarmError> {
+/// The breaths of an evaluation.
+pub(super) fn plan(run: &CommissionRun, warm_up: usize, breaths: usize) -> Plan {
+    let CollectConfig { pips, settings, .. } = &run.collect;
+    Plan { pips: pips.clone(), warm_up, breaths, settings: *settings, ..Plan::evaluation(run.seed) }
+}
+
+fn learned(name: &str, unit: Option<&UnitName>, learned: &Learned<Residual>) -> Result<Candidate> {
     let image = learned.image()?;
     let id = id_of(&image)?;
     Ok(Candidate {
@@ -199,13 +192,12 @@ fn learned(name: &str, unit: Option<&UnitName>, learned: &Learned<Residual>) -> 
     })
 }
 
-fn pid(name: &str, gains: PidGains) -> Result<Candidate, FarmError> {
-    let pid = Pid::new(gains, DEFAULT_PERIOD_US).map_err(ResidualError::from).map_err(PipelineError::from)?;
+fn pid(name: &str, gains: PidGains) -> Result<Candidate> {
     let PidGains { p, i, d } = gains;
     Ok(Candidate {
         name: name.to_owned(),
         commissioned_for: None,
-        controller: Controller::Pid(pid),
+        controller: Controller::Pid(Pid::new(gains, DEFAULT_PERIOD_US)?),
         weights: None,
         key: format!("PID {p},{i},{d}"),
     })

@@ -6,9 +6,11 @@ use std::path::Path;
 use serde::Deserialize;
 use toml::Spanned;
 
+use super::UnitName;
 use super::band::Band;
-use super::{FarmError, UnitName};
+use crate::error::{Result, StudyError};
 use data::identity::LungParameters;
+use data::workspace::WorkspaceError;
 use device::port::{Address, BAUD};
 use plant::bench::{BenchConfig, UnitConfig};
 use shared::calibration::Quantity;
@@ -94,8 +96,8 @@ impl Farm {
     ///
     /// # Errors
     /// A file that cannot be read, or that is no farm: the refusal names the line.
-    pub fn load(path: &Path) -> Result<Self, FarmError> {
-        let text = std::fs::read_to_string(path).map_err(FarmError::file(path))?;
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(WorkspaceError::file(path))?;
         Self::parse(&text, path)
     }
 
@@ -103,7 +105,7 @@ impl Farm {
     ///
     /// # Errors
     /// See [`Self::load`].
-    pub fn parse(text: &str, path: &Path) -> Result<Self, FarmError> {
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let reader = Reader { text, path };
         let file: File = toml::from_str(text).map_err(|error| {
             let place = error.span().map_or(0, |span| span.start);
@@ -196,11 +198,11 @@ impl Reader<'_> {
         format!("{}:{number}", self.path.display())
     }
 
-    fn refused(&self, place: usize, message: &str) -> FarmError {
-        FarmError::Description { line: self.line(place), message: message.to_owned() }
+    fn refused(&self, place: usize, message: &str) -> StudyError {
+        StudyError::Description { line: self.line(place), message: message.to_owned() }
     }
 
-    fn unit(&self, number: usize, entry: &Spanned<Entry>) -> Result<Unit, FarmError> {
+    fn unit(&self, number: usize, entry: &Spanned<Entry>) -> Result<Unit> {
         let start = entry.span().start;
         let entry = entry.get_ref();
         let name = match &entry.name {
@@ -236,13 +238,13 @@ impl Reader<'_> {
         Ok(Unit { name, place, lung, note: entry.note.clone(), sensor_gain, line: self.line(start) })
     }
 
-    fn parsed(&self, port: &Spanned<String>) -> Result<Address, FarmError> {
+    fn parsed(&self, port: &Spanned<String>) -> Result<Address> {
         let address = port.get_ref().parse::<Address>();
         address.map_err(|error| self.refused(port.span().start, &error.to_string()))
     }
 
     /// A bench by its name or, with the ending `.toml`, in a file beside the farm's.
-    fn bench(&self, name: &Spanned<String>) -> Result<BenchConfig, FarmError> {
+    fn bench(&self, name: &Spanned<String>) -> Result<BenchConfig> {
         let text = name.get_ref();
         let found = if Path::new(text).extension().is_some_and(|ending| ending == "toml") {
             BenchConfig::load(self.path.parent().unwrap_or(Path::new("")).join(text))
@@ -257,7 +259,7 @@ impl Reader<'_> {
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Farm, FarmError> {
+    fn parse(text: &str) -> Result<Farm> {
         Farm::parse(text, Path::new("farm.toml"))
     }
 

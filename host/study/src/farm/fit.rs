@@ -2,10 +2,12 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use super::folder::{FIGURES, FarmFolder, save};
+use super::folder::{FIGURES, SIMULATOR};
 use super::measure::measured_zero;
-use super::{FarmError, FarmRun, Outside, Simulators, UnitFigures, Worker};
+use super::{FarmRun, Outside, Simulators, UnitFigures, Worker};
+use crate::error::{Result, StudyError};
 use data::recording::Recording;
+use data::workspace::Workspace;
 use learn::pipeline::PipelineError;
 use learn::pipeline::commission::Checked;
 use learn::simulator::unit::valve_flows;
@@ -16,10 +18,10 @@ impl FarmRun<'_> {
     /// Fits the simulators that are missing, stores the calibrations on the devices, and returns what is outside the band.
     pub(super) fn fit(
         &self,
-        folder: &FarmFolder,
+        folder: &Workspace,
         workers: &mut [Worker<'_>],
         progress: &Progress<'_>,
-    ) -> Result<Vec<Outside>, FarmError> {
+    ) -> Result<Vec<Outside>> {
         match self.config.simulators {
             Simulators::Each => self.fit_each(workers, progress)?,
             Simulators::One => self.fit_one(folder, workers, progress)?,
@@ -28,19 +30,19 @@ impl FarmRun<'_> {
         let mut calibrated = Vec::new();
         for worker in workers.iter() {
             // The numbers of a simulator that does not describe its unit mean nothing.
-            if worker.folder.figures()?.is_none_or(|figures| figures.unfit.is_some()) {
+            if worker.figures()?.is_none_or(|figures| figures.unfit.is_some()) {
                 continue;
             }
-            let last = worker.folder.state()?.calibrations.last().copied();
+            let last = worker.state()?.calibrations.last().copied();
             calibrated.extend(last.map(|calibration| (worker.unit.name.clone(), calibration)));
         }
         Ok(self.farm.band.outside(&calibrated))
     }
 
     /// Fits a simulator for each unit that has none.
-    fn fit_each(&self, workers: &mut [Worker<'_>], progress: &Progress<'_>) -> Result<(), FarmError> {
+    fn fit_each(&self, workers: &mut [Worker<'_>], progress: &Progress<'_>) -> Result<()> {
         for worker in workers.iter_mut().filter(|worker| worker.problem.is_none()) {
-            if worker.folder.state()?.measured || progress.stopped() {
+            if worker.state()?.measured || progress.stopped() {
                 continue;
             }
             let progress = progress.of(worker.unit.name.as_str());
@@ -48,19 +50,14 @@ impl FarmRun<'_> {
                 corrected(worker).and_then(|recording| Ok(self.config.run.check(&recording, &progress)?));
             self.fitted(worker, checked)?;
         }
-        if progress.stopped() { Err(FarmError::Stopped) } else { Ok(()) }
+        if progress.stopped() { Err(StudyError::Stopped) } else { Ok(()) }
     }
 
     /// Fits one simulator for all units, if any of them has none.
-    fn fit_one(
-        &self,
-        folder: &FarmFolder,
-        workers: &mut [Worker<'_>],
-        progress: &Progress<'_>,
-    ) -> Result<(), FarmError> {
+    fn fit_one(&self, folder: &Workspace, workers: &mut [Worker<'_>], progress: &Progress<'_>) -> Result<()> {
         let mut units: Vec<&mut Worker<'_>> =
             workers.iter_mut().filter(|worker| worker.problem.is_none()).collect();
-        let states: Result<Vec<_>, _> = units.iter().map(|worker| worker.folder.state()).collect();
+        let states: Result<Vec<_>, _> = units.iter().map(|worker| worker.state()).collect();
         if states?.iter().all(|state| state.measured) {
             return Ok(());
         }
@@ -78,7 +75,7 @@ impl FarmRun<'_> {
             return Ok(());
         }
         let (whole, checked) = self.config.run.check_jointly(&recordings, progress)?;
-        whole.save(&folder.simulator())?;
+        whole.save(&folder.path(SIMULATOR))?;
         for (worker, checked) in units.iter_mut().zip(checked) {
             self.fitted(worker, Ok(checked))?;
         }
@@ -87,19 +84,17 @@ impl FarmRun<'_> {
 
     /// Saves the simulator of a unit. A recording that cannot be fitted puts the unit behind; a simulator that does not describe the
     /// unit is only left out of the training.
-    fn fitted(&self, worker: &mut Worker<'_>, checked: Result<Checked, FarmError>) -> Result<(), FarmError> {
+    fn fitted(&self, worker: &mut Worker<'_>, checked: Result<Checked>) -> Result<()> {
         let problem = match checked {
             Ok(Checked { simulator, figures }) => {
-                simulator.save(&worker.folder.simulator())?;
+                simulator.save(&worker.folder.path(SIMULATOR))?;
                 let valve_flow = valve_flows(&simulator.parameters);
                 let unfit = figures.problem().map(|problem| problem.to_string());
-                save(
-                    &worker.folder.file(FIGURES),
-                    &UnitFigures { figures, valve_flow, unfit: unfit.clone() },
-                )?;
+                let told = UnitFigures { figures, valve_flow, unfit: unfit.clone() };
+                worker.folder.save_indented(FIGURES, &told)?;
                 unfit
             }
-            Err(FarmError::Pipeline(PipelineError::Stopped)) => return Err(FarmError::Stopped),
+            Err(StudyError::Pipeline(PipelineError::Stopped)) => return Err(StudyError::Stopped),
             Err(error) => {
                 worker.problem = Some(error.to_string());
                 worker.problem.clone()
@@ -113,16 +108,16 @@ impl FarmRun<'_> {
 }
 
 /// The recording in force, with the readings that the unit's new calibration gives.
-fn corrected(worker: &Worker<'_>) -> Result<Recording, FarmError> {
-    let mut recording = Recording::load(worker.folder.recording()?)?;
+fn corrected(worker: &Worker<'_>) -> Result<Recording> {
+    let mut recording = Recording::load(worker.recording()?)?;
     let Some(sensor) = sensor(worker)? else { return Ok(recording) };
     recording.pressure.iter_mut().for_each(|reading| *reading = sensor.corrected(*reading));
     Ok(recording)
 }
 
 /// Stores the calibration of a unit on its device, and reads it back.
-fn calibrate(worker: &Worker<'_>) -> Result<(), FarmError> {
-    let (state, figures) = (worker.folder.state()?, worker.folder.figures()?);
+fn calibrate(worker: &Worker<'_>) -> Result<()> {
+    let (state, figures) = (worker.state()?, worker.figures()?);
     let (false, Some(figures), Some(sensor)) = (state.measured, figures, sensor(worker)?) else {
         return Ok(());
     };
@@ -134,16 +129,16 @@ fn calibrate(worker: &Worker<'_>) -> Result<(), FarmError> {
         valve_flow: figures.valve_flow,
         measured_at: SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs() as u32),
     };
-    calibration.validate().map_err(|error| FarmError::Calibration(error.to_string()))?;
+    calibration.validate().map_err(|error| StudyError::Calibration(error.to_string()))?;
     // Remembered first: a farm that is killed before it reads back still knows its unit.
-    worker.folder.remember(|state| state.pending.push(calibration))?;
+    worker.remember(|state| state.pending.push(calibration))?;
     let mut device = worker.recognised()?;
     device.stop()?;
     device.calibrate(&calibration)?;
     if device.calibration(0)?.1 != Some(calibration) {
-        return Err(FarmError::NotStored("calibration"));
+        return Err(StudyError::NotStored("calibration"));
     }
-    worker.folder.remember(|state| {
+    worker.remember(|state| {
         state.calibrations.push(calibration);
         state.pending.clear();
         state.measured = true;
@@ -152,7 +147,7 @@ fn calibrate(worker: &Worker<'_>) -> Result<(), FarmError> {
 }
 
 /// The sensor of a unit as just measured; none before that.
-fn sensor(worker: &Worker<'_>) -> Result<Option<Sensor>, FarmError> {
+fn sensor(worker: &Worker<'_>) -> Result<Option<Sensor>> {
     let zero = measured_zero(worker)?;
     Ok(zero.map(|zero| {
         let before = zero.in_force.map_or((0.0, 1.0), |before| (before.sensor_zero, before.sensor_gain));

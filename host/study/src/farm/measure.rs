@@ -1,25 +1,20 @@
 //! The measurement of a unit: the zero of its sensor, then breaths under a PID that explores, each saved as soon as it is complete.
 
-use std::fs;
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
-use shared::control::Controller;
-use shared::control::pid::Pid;
-use shared::control::residual::ResidualError;
 use shared::settings::Settings;
 
-use super::folder::{breath_file, breath_files, load, save};
-use super::{FarmError, FarmRun, Worker};
+use super::folder::{breath_file, breath_files};
+use super::{FarmRun, Worker};
+use crate::error::{Result, StudyError};
 use data::identity::TestRun;
 use data::provenance::Provenance;
 use data::recording::{Extra, Recording};
-use learn::pipeline::PipelineError;
+use data::workspace::Workspace;
 use plant::bench::BenchConfig;
 use progress::Progress;
 use shared::calibration::Calibration;
-use ventilator::collect::{BreathEnding, CollectConfig, Position, RecordedBreath, collect_from};
-use ventilator::{PortSource, Source, seeds};
+use ventilator::collect::{BreathEnding, Position, RecordedBreath, collect_from};
+use ventilator::{PortSource, Source};
 
 /// Breaths of the measurement of the zero; the last one is evaluated.
 const ZERO_BREATHS: usize = 2;
@@ -54,39 +49,39 @@ fn to_the_room() -> Settings {
 
 impl FarmRun<'_> {
     /// Measures a unit, or continues a measurement that was stopped.
-    pub(super) fn collect(&self, worker: &Worker<'_>, progress: &Progress<'_>) -> Result<(), FarmError> {
-        if self.recalibrate && worker.folder.recording()?.exists() {
-            worker.folder.measure_again()?;
+    pub(super) fn collect(&self, worker: &Worker<'_>, progress: &Progress<'_>) -> Result<()> {
+        if self.recalibrate && worker.recording()?.exists() {
+            worker.measure_again()?;
         }
-        let folder = worker.folder.measurement()?;
-        let recording = worker.folder.recording()?;
+        let folder = worker.measurement()?;
+        let recording = worker.recording()?;
         if recording.exists() {
             return Ok(());
         }
         let progress = progress.of(worker.unit.name.as_str());
-        let recorded = || breath_files(&folder).len() + usize::from(folder.join(ZERO).exists());
+        let recorded = || breath_files(&folder).len() + usize::from(folder.path(ZERO).exists());
         self.persist(worker, &progress, &recorded, |source, session| {
-            if !folder.join(ZERO).exists() {
-                save(&folder.join(ZERO), &self.zero(worker, source)?)?;
+            if !folder.path(ZERO).exists() {
+                folder.save_indented(ZERO, &self.zero(worker, source)?)?;
             }
             self.breaths(worker, source, session, &folder, &progress)
         })?;
         if breath_files(&folder).len() < self.config.run.collect.breaths {
-            return Err(FarmError::Stopped);
+            return Err(StudyError::Stopped);
         }
         self.merged(worker, &folder)?.save(&recording)?;
         // The breaths are in the recording now; leftover files are harmless.
-        let _ = fs::remove_dir_all(folder.join("breaths"));
+        let _ = folder.remove("breaths");
         Ok(())
     }
 
     /// Measures the reading at no pressure.
-    fn zero(&self, worker: &Worker<'_>, source: &mut PortSource) -> Result<Zero, FarmError> {
+    fn zero(&self, worker: &Worker<'_>, source: &mut PortSource) -> Result<Zero> {
         // Readings would lack the zero of an earlier self-test, which nothing reports.
         source.restart()?;
         let in_force = source.calibration()?;
         let settings = to_the_room();
-        source.configure(self.pid(source.period_us())?, None)?;
+        source.configure(self.config.run.pid(source.period_us())?, None)?;
         source.upcoming(&[settings; ZERO_BREATHS])?;
         let mut readings = Vec::new();
         for _ in 0..ZERO_BREATHS {
@@ -106,11 +101,11 @@ impl FarmRun<'_> {
         worker: &Worker<'_>,
         source: &mut PortSource,
         session: u32,
-        folder: &Path,
+        folder: &Workspace,
         progress: &Progress<'_>,
-    ) -> Result<(), FarmError> {
-        let config = self.collection(worker);
-        let mut aborts = worker.folder.state()?.aborts;
+    ) -> Result<()> {
+        let config = self.config.run.collection(self.number(worker));
+        let mut aborts = worker.state()?.aborts;
         let mut breaths = breath_files(folder).len();
         let from = Position { breaths, aborts, sessions: session };
         let provenance = Provenance::new(source.period_us(), "farm");
@@ -125,47 +120,36 @@ impl FarmRun<'_> {
                 }
                 BreathEnding::Fault(_) => {
                     aborts += 1;
-                    failed = worker.folder.remember(|state| state.aborts = aborts).err();
+                    failed = worker.remember(|state| state.aborts = aborts).err();
                 }
                 BreathEnding::Source => {}
             }
             Ok(())
         };
-        let pid = self.pid(source.period_us())?;
+        let pid = self.config.run.pid(source.period_us())?;
         collect_from(source, &pid, &config, from, progress, keep)?;
         match failed {
             Some(error) => Err(error),
             None if aborts > config.aborts => {
                 // The next run has as many again.
-                worker.folder.remember(|state| state.aborts = 0)?;
-                Err(FarmError::Aborted(aborts))
+                worker.remember(|state| state.aborts = 0)?;
+                Err(StudyError::Aborted(aborts))
             }
             None => Ok(()),
         }
     }
 
-    /// The collection of a unit. Every unit has PIPs and perturbations of its own.
-    fn collection(&self, worker: &Worker<'_>) -> CollectConfig {
-        let seed = seeds::collection(self.config.run.seed, self.number(worker));
-        CollectConfig { seed, ..self.config.run.collect.clone() }
-    }
-
-    /// The PID that records.
-    pub(super) fn pid(&self, period_us: u32) -> Result<Controller, FarmError> {
-        let pid = Pid::new(self.config.run.collector, period_us).map_err(ResidualError::from);
-        Ok(Controller::Pid(pid.map_err(PipelineError::from)?))
-    }
-
     /// The recording of a unit from the files of its breaths, with the identity of the unit.
-    fn merged(&self, worker: &Worker<'_>, folder: &Path) -> Result<Recording, FarmError> {
+    fn merged(&self, worker: &Worker<'_>, folder: &Workspace) -> Result<Recording> {
         let unit = worker.unit;
-        let state = worker.folder.state()?;
+        let state = worker.state()?;
         let run = format!("measurement-{}", state.measurement);
         let provenance = Provenance {
             seed: self.config.run.seed,
             plant: format!("unit {}", unit.name),
             plant_parameters: unit.bench().map(BenchConfig::to_toml).unwrap_or_default(),
-            settings: serde_json::to_value(self.collection(worker)).unwrap_or_default(),
+            settings: serde_json::to_value(self.config.run.collection(self.number(worker)))
+                .unwrap_or_default(),
             groups: vec![TestRun::new(unit.name.as_str(), &run)],
             notes: [format!("{} in {} sessions", unit.place, state.sessions), unit.note.clone()]
                 .into_iter()
@@ -196,6 +180,6 @@ impl FarmRun<'_> {
 }
 
 /// The zero of a unit's measurement in force; none before it was measured.
-pub(super) fn measured_zero(worker: &Worker<'_>) -> Result<Option<Zero>, FarmError> {
-    load(&worker.folder.measurement()?.join(ZERO))
+pub(super) fn measured_zero(worker: &Worker<'_>) -> Result<Option<Zero>> {
+    Ok(worker.measurement()?.load(ZERO)?)
 }

@@ -12,13 +12,13 @@
 //! Stages that move valves run on all units at once, each on a thread of its own: a unit that fails never stops the rest. Every stage
 //! saves its results in the folder, and the same call continues a farm that was stopped, or killed.
 
+mod alone;
 mod band;
 mod contact;
 mod controllers;
 mod crosswise;
 pub mod description;
 mod drift;
-mod error;
 mod figures;
 mod fit;
 mod flash;
@@ -31,22 +31,25 @@ mod session;
 mod tests;
 mod unit_name;
 
+use std::convert::Infallible;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use campaign::on_threads;
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use shared::calibration::Calibration;
 use shared::control::residual::Residual;
 
+use crate::error::{Result, StudyError};
+pub use alone::{Alone, OnBench, Scores};
 pub use band::{Band, Outside};
 use contact::Contact;
 pub use crosswise::{Matrix, MatrixRow};
+use data::workspace::Workspace;
 use description::{Farm, Unit};
 pub use drift::Drift;
-pub use error::FarmError;
 pub use figures::UnitFigures;
-use folder::{FarmFolder, UnitFolder};
 use learn::pipeline::commission::CommissionRun;
 use progress::Progress;
 pub use rivals::Rivals;
@@ -115,7 +118,7 @@ pub struct FarmRun<'a> {
     /// Factor by which devices in this process are faster than a chip.
     pub pace: u32,
     /// Signs a weights image.
-    pub sign: &'a (dyn Fn(Vec<u8>) -> Result<Vec<u8>, String> + Sync),
+    pub sign: &'a (dyn Fn(Vec<u8>) -> std::result::Result<Vec<u8>, String> + Sync),
     /// Told of what happens to a unit.
     pub tell: &'a (dyn Fn(&UnitName, &str) + Sync),
 }
@@ -160,7 +163,7 @@ pub struct FarmResult {
 struct Worker<'a> {
     unit: &'a Unit,
     contact: Contact,
-    folder: UnitFolder,
+    folder: Workspace,
     /// Why later stages leave it out.
     problem: Option<String>,
 }
@@ -170,9 +173,9 @@ impl FarmRun<'_> {
     ///
     /// # Errors
     /// A unit that answers as another one, before anything has moved; a folder of another farm; a stage that cannot run at all.
-    pub fn run(&self, progress: &Progress<'_>) -> Result<FarmResult, FarmError> {
-        let folder = FarmFolder::new(&self.out);
-        folder.claim(self)?;
+    pub fn run(&self, progress: &Progress<'_>) -> Result<FarmResult> {
+        let folder = Workspace::new(&self.out);
+        self.claim(&folder)?;
         let mut workers = self.workers(&folder)?;
         self.contact(&mut workers)?;
         let mut result = FarmResult { units: Vec::new(), outside: Vec::new(), matrix: None, rivals: None };
@@ -198,42 +201,41 @@ impl FarmRun<'_> {
     }
 
     /// The units with their folders and, for virtual ones, their devices.
-    fn workers(&self, folder: &FarmFolder) -> Result<Vec<Worker<'_>>, FarmError> {
+    fn workers(&self, folder: &Workspace) -> Result<Vec<Worker<'_>>> {
         let worker = |unit| {
             let contact = Contact::new(unit, self.pace)?;
-            Ok(Worker { unit, contact, folder: folder.unit(&unit.name), problem: None })
+            let folder = folder.folder(&format!("units/{}", unit.name));
+            Ok(Worker { unit, contact, folder, problem: None })
         };
         self.farm.units.iter().map(worker).collect()
     }
 
     /// Works on all units at once that have no problem. A unit that fails is left out from then on; the rest goes on.
-    fn on_all(&self, workers: &mut [Worker<'_>], work: impl Fn(&Worker<'_>) -> Result<(), FarmError> + Sync) {
-        std::thread::scope(|scope| {
-            for worker in workers.iter_mut().filter(|worker| worker.problem.is_none()) {
-                let work = &work;
-                scope.spawn(move || {
-                    if let Err(error) = work(worker) {
-                        let problem = error.to_string();
-                        if !matches!(error, FarmError::Stopped) {
-                            (self.tell)(&worker.unit.name, &problem);
-                        }
-                        worker.problem = Some(problem);
-                    }
-                });
+    fn on_all(&self, workers: &mut [Worker<'_>], work: impl Fn(&Worker<'_>) -> Result<()> + Sync) {
+        let (threads, healthy) =
+            (workers.len(), workers.iter_mut().filter(|worker| worker.problem.is_none()));
+        let Ok(()) = on_threads(threads, healthy, |worker| {
+            if let Err(error) = work(worker) {
+                let problem = error.to_string();
+                if !matches!(error, StudyError::Stopped) {
+                    (self.tell)(&worker.unit.name, &problem);
+                }
+                worker.problem = Some(problem);
             }
+            Ok::<_, Infallible>(())
         });
     }
 }
 
 impl Worker<'_> {
-    fn result(&self) -> Result<UnitResult, FarmError> {
-        let state = self.folder.state()?;
+    fn result(&self) -> Result<UnitResult> {
+        let state = self.state()?;
         Ok(UnitResult {
             name: self.unit.name.clone(),
             place: self.unit.place.to_string(),
-            breaths: self.folder.breaths()?,
+            breaths: self.breaths()?,
             sessions: state.sessions,
-            figures: self.folder.figures()?,
+            figures: self.figures()?,
             calibration: state.calibrations.last().copied(),
             drift: Drift::of(&state.calibrations),
             weights_id: state.weights.clone().map(|weights| weights.stored),

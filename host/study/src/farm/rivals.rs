@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 use shared::control::pid::PidGains;
 
-use super::folder::{FarmFolder, load, save};
-use super::{FarmError, FarmRun, Worker};
+use super::{FarmRun, Worker};
+use crate::error::{Result, StudyError};
+use data::workspace::Workspace;
 use plant::bench::{BenchConfig, UnitConfig};
 use progress::Progress;
 use score::baselines::Grid;
@@ -25,29 +26,27 @@ impl FarmRun<'_> {
     /// The rivals, searched once; none unless all units are virtual.
     pub(super) fn rivals(
         &self,
-        folder: &FarmFolder,
+        folder: &Workspace,
         workers: &[Worker<'_>],
         progress: &Progress<'_>,
-    ) -> Result<Option<Rivals>, FarmError> {
+    ) -> Result<Option<Rivals>> {
         let benches: Option<Vec<BenchConfig>> =
             workers.iter().map(|worker| worker.unit.bench().map(calibrated)).collect();
         let Some(benches) = benches else { return Ok(None) };
-        if let Some(found) = load(&folder.rivals())? {
-            return Ok(Some(found));
-        }
         let run = &self.config.run;
         let waveforms =
             Plan { pips: run.collect.pips.clone(), settings: run.collect.settings, ..Plan::tuning(run.seed) };
         let search = Search { grid: Grid::coarse(), refinements: 4, exhaustive: false };
-        let pid = tune_single_pid(&benches, &search, &waveforms, &progress.of("best single PID"))?;
-        let bounds = bounds(&benches, &waveforms, &BoundConfig::default(), &progress.of("bounds"))?;
-        if progress.stopped() {
-            return Err(FarmError::Stopped);
-        }
-        let bounds = bounds.iter().map(|bound| bound.mean.score).collect();
-        let rivals = Rivals { pid: pid.pid.gains, bounds };
-        save(&folder.rivals(), &rivals)?;
-        Ok(Some(rivals))
+        let rivals = folder.keep("rivals.json", || {
+            let pid = tune_single_pid(&benches, &search, &waveforms, &progress.of("best single PID"))?;
+            let bounds = bounds(&benches, &waveforms, &BoundConfig::default(), &progress.of("bounds"))?;
+            if progress.stopped() {
+                return Err(StudyError::Stopped);
+            }
+            let bounds = bounds.iter().map(|bound| bound.mean.score).collect();
+            Ok(Rivals { pid: pid.pid.gains, bounds })
+        });
+        rivals.map(Some)
     }
 }
 

@@ -2,9 +2,14 @@
 
 use std::time::{Duration, Instant};
 
-use super::{FarmError, FarmRun, Worker};
+use super::{FarmRun, Worker};
+use crate::error::{Result, StudyError};
+use device::DeviceError;
+use device::upload::UploadError;
 use progress::Progress;
-use ventilator::{PortSource, seeds};
+use shared::link::refusal::Refusal;
+use ventilator::collect::CollectError;
+use ventilator::{PortSource, SourceError, seeds};
 
 /// Pause before the next attempt to reach a unit.
 const PAUSE: Duration = Duration::from_millis(500);
@@ -17,14 +22,14 @@ impl FarmRun<'_> {
         worker: &Worker<'_>,
         progress: &Progress<'_>,
         steps: &dyn Fn() -> usize,
-        mut work: impl FnMut(&mut PortSource, u32) -> Result<T, FarmError>,
-    ) -> Result<T, FarmError> {
+        mut work: impl FnMut(&mut PortSource, u32) -> Result<T>,
+    ) -> Result<T> {
         let (mut since, mut before) = (Instant::now(), steps());
         loop {
             if progress.stopped() {
-                return Err(FarmError::Stopped);
+                return Err(StudyError::Stopped);
             }
-            let session = worker.folder.remember(|state| state.sessions += 1)?.sessions;
+            let session = worker.remember(|state| state.sessions += 1)?.sessions;
             let seed =
                 seeds::collection(self.config.run.seed, self.number(worker) << 32 | u64::from(session));
             let done = worker.contact.source(worker.unit, seed).and_then(|mut source| {
@@ -32,7 +37,7 @@ impl FarmRun<'_> {
                 work(&mut source, session)
             });
             let error = match done {
-                Err(error) if error.may_pass() => error,
+                Err(error) if may_pass(&error) => error,
                 done => return done,
             };
             if steps() > before {
@@ -49,5 +54,32 @@ impl FarmRun<'_> {
     /// The number of a unit in the farm, from 0.
     pub(super) fn number(&self, worker: &Worker<'_>) -> u64 {
         self.farm.units.iter().take_while(|unit| unit.name != worker.unit.name).count() as u64
+    }
+}
+
+/// Whether the unit may come back by itself, as after a loose plug.
+fn may_pass(error: &StudyError) -> bool {
+    let source = match error {
+        StudyError::Source(source) | StudyError::Collect(CollectError::Source(source)) => source,
+        StudyError::Upload(UploadError::Device(device)) | StudyError::Device(device) => {
+            return device_may_return(device);
+        }
+        _ => return false,
+    };
+    match source {
+        SourceError::Device(device) | SourceError::Upload(UploadError::Device(device)) => {
+            device_may_return(device)
+        }
+        SourceError::Lost { .. } | SourceError::Silent { .. } => true,
+        _ => false,
+    }
+}
+
+/// Whether a device that failed so may come back by itself. The lease of a connection that broke lapses.
+fn device_may_return(error: &DeviceError) -> bool {
+    match error {
+        DeviceError::Port(_) | DeviceError::Silent(_) | DeviceError::Gone(_) => true,
+        DeviceError::Refused(refusal) => matches!(refusal, Refusal::Lease { .. } | Refusal::NoLease),
+        _ => false,
     }
 }

@@ -10,6 +10,7 @@ use std::time::Duration;
 use super::description::{Farm, Place, Unit};
 use super::*;
 use data::recording::Recording;
+use data::workspace::WorkspaceError;
 use device::Device;
 use device::port::Address;
 use device::simulated::{MOST_PACE, Served};
@@ -79,11 +80,11 @@ impl<'a> Small<'a> {
         Self { farm, out, until, simulators: Simulators::Each, recalibrate: false, adopt: Vec::new() }
     }
 
-    fn run(&self) -> Result<FarmResult, FarmError> {
+    fn run(&self) -> Result<FarmResult, StudyError> {
         self.watched(&Progress::silent())
     }
 
-    fn watched(&self, progress: &Progress<'_>) -> Result<FarmResult, FarmError> {
+    fn watched(&self, progress: &Progress<'_>) -> Result<FarmResult, StudyError> {
         let start = shipped::residual("adult").unwrap();
         let pips = [15.0, 25.0];
         let mut run =
@@ -349,7 +350,8 @@ fn a_folder_of_another_farm_is_refused() {
     let (one, two) = (farm(vec![at("1", served.address())]), farm(vec![at("2", served.address())]));
     Small::new(&one, folder.path(), FarmStage::Contact).run().unwrap();
     let refused = Small::new(&two, folder.path(), FarmStage::Contact).run().unwrap_err();
-    assert!(matches!(refused, FarmError::OtherFarm(_)), "{refused}");
+    let other = matches!(refused, StudyError::Workspace(WorkspaceError::OtherRun { .. }));
+    assert!(other, "{refused}");
 }
 
 #[test]

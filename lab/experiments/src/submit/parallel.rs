@@ -10,7 +10,7 @@ use std::time::Duration;
 use progress::Progress;
 
 use super::{Job, SubmitError, THREADS};
-use campaign::CampaignError;
+use campaign::WorkspaceError;
 
 /// What to do without GNU parallel.
 const HINT: &str = "install GNU parallel (Debian: apt-get install parallel)";
@@ -75,7 +75,7 @@ impl Parallel {
         let mut merge = Command::new(&job.program);
         merge.args(&job.arguments).args(["--merge", "--out"]).arg(&job.out);
         let merged =
-            printing(&mut merge, &job.merge_log())?.status().map_err(CampaignError::file(&job.program))?;
+            printing(&mut merge, &job.merge_log())?.status().map_err(WorkspaceError::file(&job.program))?;
         match merged.code() {
             _ if progress.stopped() => Ok(false),
             Some(0) => Ok(true),
@@ -87,7 +87,7 @@ impl Parallel {
         let failed = |source| SubmitError::Program { program: "parallel", source, hint: HINT };
         let numbers = open.iter().map(u64::to_string).collect::<Vec<_>>().join("\n");
         let numbers = job.write("open.txt", &numbers)?;
-        let input = File::open(&numbers).map_err(CampaignError::file(&numbers))?;
+        let input = File::open(&numbers).map_err(WorkspaceError::file(&numbers))?;
         let mut parallel = Command::new("parallel");
         // In a group of its own, so that Ctrl-C reaches only this program.
         parallel.args(self.arguments(job)).stdin(input).process_group(0);
@@ -110,8 +110,8 @@ impl Parallel {
 
 /// A command that prints everything into a file.
 fn printing<'a>(command: &'a mut Command, path: &Path) -> Result<&'a mut Command, SubmitError> {
-    let output = File::create(path).map_err(CampaignError::file(path))?;
-    let errors = output.try_clone().map_err(CampaignError::file(path))?;
+    let output = File::create(path).map_err(WorkspaceError::file(path))?;
+    let errors = output.try_clone().map_err(WorkspaceError::file(path))?;
     Ok(command.stdout(output).stderr(errors))
 }
 

@@ -6,12 +6,13 @@ use progress::Progress;
 use serde::{Deserialize, Serialize};
 
 use super::{Job, SubmitError, THREADS, answer, quoted, run, text};
-use campaign::CampaignError;
-use data::files::{read_json, write_json};
+use data::workspace::Workspace;
 
 /// What to do without Slurm.
 const HINT: &str = "is this a login node of a Slurm cluster?";
 
+/// File of the jobs in the folder of the scripts.
+const JOBS: &str = "jobs.json";
 /// How long a queue that cannot be asked is waited for.
 const SILENT: Duration = Duration::from_mins(5);
 
@@ -70,9 +71,8 @@ impl Slurm {
     /// # Errors
     /// A folder that cannot be written or is divided differently, or a refusal of `sbatch`.
     pub fn submit(&self, job: &Job) -> Result<Submitted, SubmitError> {
-        let (open, kept) = (job.open()?, job.log().join("jobs.json"));
-        let earlier = read_json::<Submitted>(&kept).map_err(CampaignError::file(&kept))?;
-        if let Some(earlier) = earlier
+        let (open, log) = (job.open()?, Workspace::new(job.log()));
+        if let Some(earlier) = log.load::<Submitted>(JOBS)?
             && !Queue::default().left(&earlier.merge)?
         {
             return Ok(earlier);
@@ -95,7 +95,7 @@ impl Slurm {
             }
             Submitted { array: Some(array), merge: merge? }
         };
-        write_json(&kept, &jobs).map_err(CampaignError::file(&kept))?;
+        log.save(JOBS, &jobs)?;
         Ok(jobs)
     }
 

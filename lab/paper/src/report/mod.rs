@@ -10,11 +10,11 @@ use super::results::{BalloonFigures, LungMeans, Results};
 use super::study::Study;
 use super::tracking::Tracking;
 use super::{Ablation, LungFigures, learning, lungs};
-use crate::error::Result;
 use data::provenance::Provenance;
 use rivals::rivals_section;
 use score::evaluate::BreathTrace;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
+use study::Result;
 use trials::test_table::Outcome;
 
 /// Length of the inspiration shown in the zoomed plots, s.

@@ -5,9 +5,7 @@ mod bench;
 pub use bench::{Declared, PhaseEnd, Setup, declared, measure};
 
 use serde::{Deserialize, Serialize};
-
-/// Relative difference below which two bounds are equal.
-const TIE: f64 = 1e-9;
+use verdict::tightest;
 
 /// A target with what was measured, in the same unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,59 +26,18 @@ pub struct Accuracy {
 }
 
 impl Accuracy {
-    /// The smallest accuracy that holds for all measurements: of all that hold, the one whose mean bound over the measurements is the
-    /// smallest. Targets are not negative. None without a measurement, or if one is not finite.
+    /// The smallest accuracy that holds for all measurements: see [`tightest`]. Targets are not negative. None without a measurement, or
+    /// if one is not finite.
     pub fn declared(measurements: &[Measured]) -> Option<Self> {
-        let mut errors: Vec<(f64, f64)> = measurements
-            .iter()
-            .map(|measured| (measured.target, (measured.value - measured.target).abs()))
-            .collect();
-        if errors.is_empty()
-            || errors.iter().any(|(target, error)| !(target.is_finite() && error.is_finite()))
-        {
-            return None;
-        }
-        errors.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.total_cmp(&other.1)));
-        let mean = errors.iter().map(|(target, _)| target).sum::<f64>() / errors.len() as f64;
-        let hull = upper_hull(&errors);
-        let through_zero =
-            hull.iter().filter(|(target, _)| *target > 0.0).map(|(target, error)| error / target);
-        let edges = hull.windows(2).map(|edge| (edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0));
-        // The mean bound is convex in the slope, with its corners at these slopes.
-        let mut slopes: Vec<f64> =
-            edges.chain(through_zero).filter(|slope| *slope > 0.0 && slope.is_finite()).collect();
-        slopes.sort_by(f64::total_cmp);
-        let bound = |slope: f64| {
-            let absolute = hull.iter().map(|(target, error)| error - slope * target).fold(0.0, f64::max);
-            (absolute + slope * mean, Self { absolute, percent: 100.0 * slope })
-        };
-        // Of equal bounds, the one with the smaller share: of a single target, the absolute one.
-        let better =
-            |best: (f64, Self), other: (f64, Self)| if other.0 < best.0 * (1.0 - TIE) { other } else { best };
-        Some(slopes.into_iter().map(bound).fold(bound(0.0), better).1)
+        let error = |Measured { target, value }: &Measured| (*target, (value - target).abs());
+        let band = tightest(&measurements.iter().map(error).collect::<Vec<_>>())?;
+        Some(Self { absolute: band.fixed, percent: band.percent })
     }
 
     /// Bound at a target.
     pub fn at(&self, target: f64) -> f64 {
         self.absolute + self.percent / 100.0 * target
     }
-}
-
-/// Corners of the upper hull of points that are sorted by their first coordinate.
-fn upper_hull(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let mut hull: Vec<(f64, f64)> = Vec::new();
-    for point in points {
-        while let [.., before, last] = hull[..] {
-            let turn =
-                (last.0 - before.0) * (point.1 - before.1) - (last.1 - before.1) * (point.0 - before.0);
-            if turn < 0.0 {
-                break;
-            }
-            hull.pop();
-        }
-        hull.push(*point);
-    }
-    hull
 }
 
 #[cfg(test)]

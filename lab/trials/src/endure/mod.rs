@@ -22,7 +22,7 @@ use shared::control::Controller;
 use shared::control::pid::Pid;
 use thiserror::Error;
 
-use campaign::{CampaignError, Sums, Work};
+use campaign::{Sums, Work, WorkspaceError};
 use course::Observer;
 use patient::Patient;
 use progress::{Stage, Task};
@@ -42,7 +42,7 @@ pub enum EndureError {
     Source(#[from] SourceError),
     /// The test cannot be kept or continued.
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
+    Workspace(#[from] WorkspaceError),
 }
 
 /// The PID that is best for all the paper's lungs, as in the fault matrix; its name.

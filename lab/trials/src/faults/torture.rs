@@ -20,7 +20,7 @@ use thiserror::Error;
 use super::hostile::full_authority;
 use super::injection::Injection;
 use super::trial::{Trial, run};
-use campaign::{CampaignError, CampaignOf, Sums, Work};
+use campaign::{CampaignOf, Sums, Work, WorkspaceError};
 use plant::bench::{BenchConfig, Failure};
 use progress::{Stage, Task};
 use ventilator::SourceError;
@@ -47,7 +47,7 @@ pub enum TortureError {
     Source(#[from] SourceError),
     /// The test cannot be kept or continued.
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
+    Workspace(#[from] WorkspaceError),
 }
 
 /// A torture test; its units are the runs.

@@ -22,7 +22,7 @@ use shared::control::ControlLaw;
 use shared::control::pid::PidGains;
 use thiserror::Error;
 
-use campaign::{CampaignError, Work};
+use campaign::{Work, WorkspaceError};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use plant_run::{PlantRun, SCORED, breaths};
@@ -49,7 +49,7 @@ pub enum RobustError {
     Bound(#[from] BoundError),
     /// The test cannot be kept or continued.
     #[error(transparent)]
-    Campaign(#[from] CampaignError),
+    Workspace(#[from] WorkspaceError),
     /// The controller no longer answers for itself.
     #[error("plant {plant} does not count: {reason}")]
     Controller {

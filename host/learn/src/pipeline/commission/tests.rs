@@ -11,7 +11,7 @@ use crate::pipeline::tests::score;
 use plant::bench::BenchConfig;
 use progress::Event;
 use ventilator::BenchSource;
-use ventilator::collect::COLLECT;
+use ventilator::collect::collect;
 
 fn small() -> CommissionRun {
     let mut run = CommissionRun { parts: 2, drawn: (64, 32), ..CommissionRun::default() };
@@ -34,14 +34,15 @@ fn adult() -> Residual {
     shipped::residual("adult").unwrap()
 }
 
-fn source(run: &CommissionRun, bench: &BenchConfig) -> BenchSource {
-    let (pid, config) = (run.pid(DEFAULT_PERIOD_US).unwrap(), run.collection());
-    BenchSource::new(bench, pid, &config.settings, DEFAULT_PERIOD_US, config.seed).unwrap()
+fn recording(run: &CommissionRun) -> Recording {
+    recorded(run, &unlike_the_nominal_one())
 }
 
-fn recording(run: &CommissionRun) -> Recording {
-    let (folder, bench) = (tempfile::tempdir().unwrap(), unlike_the_nominal_one());
-    run.record(&mut source(run, &bench), &Folder::new(folder.path()), &Progress::silent()).unwrap()
+fn recorded(run: &CommissionRun, bench: &BenchConfig) -> Recording {
+    let (pid, config) = (run.pid(DEFAULT_PERIOD_US).unwrap(), run.collection(0));
+    let mut source =
+        BenchSource::new(bench, pid.clone(), &config.settings, DEFAULT_PERIOD_US, config.seed).unwrap();
+    collect(&mut source, &pid, &config, &Progress::silent()).unwrap().recording
 }
 
 fn commissioned(run: &CommissionRun) -> Commissioned {
@@ -135,30 +136,23 @@ fn a_breath_that_the_pressure_limit_ends_ends_the_recording_which_is_refused_wit
         boundary_duration: (0.3, 0.3),
         ..Exploration::default()
     });
-    let (folder, stiff) = (tempfile::tempdir().unwrap(), BenchConfig::paper(50.0, 10.0));
-    let folder = Folder::new(folder.path());
-    let recording = run.record(&mut source(&run, &stiff), &folder, &Progress::silent()).unwrap();
+    let recording = recorded(&run, &BenchConfig::paper(50.0, 10.0));
     assert_eq!(recording.breaths().len() - recording.inspirations().len(), 1);
-    let refused = run.check(&CommissionRun::recorded(&folder).unwrap(), &Progress::silent()).unwrap_err();
+    let refused = run.check(&recording, &Progress::silent()).unwrap_err();
     assert!(refused.to_string().contains("check the lung"), "{refused}");
 }
 
 #[test]
-fn a_stopped_recording_is_repeated_and_a_stopped_training_goes_on() {
-    let (run, bench) = (small(), unlike_the_nominal_one());
+fn a_stopped_check_is_repeated_and_a_stopped_training_goes_on() {
+    let run = small();
     let place = tempfile::tempdir().unwrap();
-    let folder = Folder::new(place.path());
+    let folder = Workspace::new(place.path());
     let stop = AtomicBool::new(false);
     let at_ten = |event: &Event<'_>| {
-        let enough = if event.stage == COLLECT { 3 } else { 10 };
-        stop.fetch_or(event.done >= enough, Ordering::Relaxed);
+        stop.fetch_or(event.done >= 10, Ordering::Relaxed);
     };
     let stopping = Progress::new(&at_ten, &stop);
-    let stopped = run.record(&mut source(&run, &bench), &folder, &stopping).unwrap_err();
-    assert!(matches!(stopped, PipelineError::Stopped));
-    assert_eq!(Recording::load(folder.whole(PARTIAL)).unwrap().inspirations().len(), 3);
-    assert!(CommissionRun::recorded(&folder).is_err());
-    let recording = run.record(&mut source(&run, &bench), &folder, &Progress::silent()).unwrap();
+    let recording = recording(&run);
     let unit = run.check(&recording, &Progress::silent()).unwrap().simulator;
     assert!(matches!(run.check(&recording, &stopping), Err(PipelineError::Stopped)));
     stop.store(false, Ordering::Relaxed);
@@ -166,22 +160,4 @@ fn a_stopped_recording_is_repeated_and_a_stopped_training_goes_on() {
     assert_eq!((half.complete, half.curve.len()), (false, 1));
     let resumed = run.tune(&adult(), &[&unit], Some(&folder), &Progress::silent()).unwrap();
     assert_eq!(resumed.learned, commissioned(&run).learned);
-}
-
-#[test]
-fn a_folder_of_another_unit_seed_or_controller_is_refused() {
-    let place = tempfile::tempdir().unwrap();
-    let folder = Folder::new(place.path());
-    let claim = |run: &CommissionRun, unit: &str, start: &Residual| run.claim(&folder, unit, start);
-    claim(&small(), "unit 7", &adult()).unwrap();
-    claim(&small(), "unit 7", &adult()).unwrap();
-    let other = CommissionRun { seed: 2, ..small() };
-    let blank = Residual::new(*adult().spec(), shared::control::network::Network::zero()).unwrap();
-    for refused in [
-        claim(&small(), "unit 8", &adult()),
-        claim(&other, "unit 7", &adult()),
-        claim(&small(), "unit 7", &blank),
-    ] {
-        assert!(matches!(refused, Err(PipelineError::OtherRun(_))));
-    }
 }

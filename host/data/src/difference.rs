@@ -30,8 +30,18 @@ fn find(name: &str, there: &Value, here: &Value) -> Option<String> {
             one.iter().zip(other).find_map(|(one, other)| find(name, one, other))
         }
         _ if there == here => None,
-        _ => Some(format!("`{name}` is {} there and {} here", quoted(there), quoted(here))),
+        (Value::String(one), Value::String(other)) => {
+            // Of texts of several lines, such as a bench's description, the first line that differs.
+            let lines = one.lines().zip(other.lines()).find(|(one, other)| one != other);
+            let (one, other) = lines.unwrap_or((one, other));
+            Some(told(name, &one.into(), &other.into()))
+        }
+        _ => Some(told(name, there, here)),
     }
+}
+
+fn told(name: &str, there: &Value, here: &Value) -> String {
+    format!("`{name}` is {} there and {} here", quoted(there), quoted(here))
 }
 
 fn quoted(value: &Value) -> String {
@@ -58,6 +68,12 @@ mod tests {
         assert_eq!(of(json!({"c": [1, 2]}), json!({"c": [1]})).unwrap(), "`c` is [1,2] there and [1] here");
         let long = of(json!({"d": "x".repeat(100)}), json!({"d": ""})).unwrap();
         assert!(long.len() < 100, "{long}");
+        let lines = of(json!({"e": "a\nb = 1\nc"}), json!({"e": "a\nb = 2\nc"}));
+        assert_eq!(lines.unwrap(), "`e` is \"b = 1\" there and \"b = 2\" here");
+        assert_eq!(
+            of(json!({"f": "a"}), json!({"f": "a\nb"})).unwrap(),
+            "`f` is \"a\" there and \"a\\nb\" here"
+        );
         assert_eq!(between(&json!([0.1]), &[0.1_f32]), None, "read from a file, and not yet written");
     }
 }
