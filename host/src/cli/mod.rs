@@ -20,7 +20,6 @@ mod inspect;
 mod judge;
 mod keys;
 mod monitor;
-mod pack;
 #[cfg(unix)]
 mod qemu;
 mod self_test;
@@ -36,7 +35,7 @@ use clap::Parser;
 use crate::args::controller::ControllerArgs;
 use crate::command::{Program, Runnable};
 
-/// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, pack.
+/// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, flash.
 #[derive(Debug, Parser)]
 #[command(name = "trainer", version, long_about = None, after_help = "\
 Start with `cargo trainer demo`: it runs the whole pipeline on the virtual bench and shows the
@@ -64,7 +63,6 @@ commands! {
         Commission(commission::Args),
         Farm(farm::Args),
         Evaluate(evaluate::Args<ControllerArgs>),
-        Pack(pack::Args),
         Export(export::Args),
         Keys(keys::Args),
         Flash(flash::Args),
