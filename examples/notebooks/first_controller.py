@@ -25,7 +25,7 @@ import eupnea
 # recording varied.
 
 # %%
-recording = eupnea.collect(lung="R20C20", breaths=120, seed=1)
+recording = eupnea.collect(bench="R20C20", breaths=120, seed=1)
 recording.pandas().query("breath == 10").plot("tick", ["target", "pressure", "u_in"], subplots=True, figsize=(7, 4))
 
 # %% [markdown]
@@ -42,7 +42,7 @@ print(f"open-loop distance on held-out breaths: {fitted['open_loop']:.3f} cmH2O"
 # %%
 gains = (6.5, 265, 0.13)
 trained = eupnea.train("run", simulator="simulator.safetensors", gains=gains, iterations=300)
-result = eupnea.evaluate(trained["controller"], lung="R20C20")
+result = eupnea.evaluate(trained["controller"], bench="R20C20")
 for name, scores in result["mean"].items():
     print(f"{name:8} error {scores['score']:.3f} cmH2O, overshoot {scores['overshoot']:.2f} cmH2O")
 

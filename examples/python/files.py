@@ -2,7 +2,7 @@
 
   python3 files.py recording.parquet simulator.safetensors controller.safetensors [weights.bin]
 
-The recording must be of that controller without exploration (trainer collect --controller F --no-exploration).
+The recording must be of that controller without exploration (trainer collect --controller F --exploration none).
 The script computes the commands again from the recorded pressures; they must match the recorded ones to 1e-6 percent.
 """
 import json, struct, sys, zlib

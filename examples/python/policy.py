@@ -4,7 +4,7 @@ The PI needs the standard library only; --onnx needs numpy and onnxruntime, --to
 
 Examples:
   python3 policy.py --port 7100 &
-  lab evaluate --policy tcp:localhost:7100 --lung R20C20
+  lab evaluate --policy tcp:localhost:7100 --bench R20C20
   lab evaluate --policy 'pipe:python3 policy.py --gains 2,30'
   lab evaluate --policy 'pipe:python3 policy.py --onnx controller.onnx' --gains 6.5,265,0.13"""
 import argparse, math, socket, struct, sys, zlib

@@ -28,7 +28,7 @@ def bound(name: str) -> float | None:
     """Return the reference bound of an environment, cmH2O; None where there is none."""
     lungs = {"eupnea/OneLung-v0": "R20C20", "eupnea/NineLungs-v0": "paper"}.get(name)
     if lungs:
-        results = eupnea.bound(lung=lungs)["lungs"]
+        results = eupnea.bound(bench=lungs)["lungs"]
         return sum(lung["mean"]["score"] for lung in results) / len(results)
     family = {"eupnea/AdultFamily-v0": "adult", "eupnea/NeonatalFamily-v0": "neonate"}.get(name)
     if family:

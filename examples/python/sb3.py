@@ -127,7 +127,7 @@ def judge(model: BaseAlgorithm, id: str) -> dict[str, Any]:
     scores: dict[str, Any] = {"environment": eupnea.score(act, id, hold=HOLD)}
     lung = REGISTERED[id].get("lungs")
     if lung not in (None, "paper"):
-        scores["evaluate"] = eupnea.evaluate(policy=Agent(act, hold=HOLD), lung=lung, seed=1)
+        scores["evaluate"] = eupnea.evaluate(policy=Agent(act, hold=HOLD), bench=lung, seed=1)
     return scores
 
 

@@ -15,7 +15,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,8 @@ def run(command: str, *files: PathLike, progress: Progress | bool = True, **opti
         files: Arguments without a name.
         progress: Whether to show the progress on standard error if that is a terminal, or a function to call with it.
         options: Options of the command. `True` sets a flag; `None` and `False` leave an option out; a `Bench` stands for its
-            description; a sequence is a list of values, or the gains of a PID.
+            description; a mapping is names with values, as in `settings={"peep": 8, "rate": 15}`; a sequence is a list of values,
+            or the gains of a PID.
 
     Returns:
         The content of `--json`.
@@ -69,7 +70,9 @@ def _arguments(options: dict[str, Any], repeated: dict[str, bool], folder: Path)
         elif isinstance(value, Bench):
             description = folder / f"{name}.toml"
             description.write_text(value.to_toml(), encoding="utf-8")
-            yield f"{'--bench' if name == 'lung' else flag}={description}"
+            yield f"{flag}={description}"
+        elif isinstance(value, Mapping):
+            yield f"{flag}={','.join(f'{key}={each}' for key, each in value.items())}"
         elif isinstance(value, Iterable) and not isinstance(value, (str, bytes, os.PathLike)):
             words = [os.fspath(word) if isinstance(word, os.PathLike) else str(word) for word in value]
             yield from (f"{flag}={word}" for word in (words if repeated[name] else [",".join(words)]))
@@ -89,7 +92,7 @@ def collect(*, out: PathLike | None = None, **options: Any) -> Recording:
 
     Args:
         out: File to write; without one, the recording is in memory only.
-        options: Those of `trainer collect`, such as `lung="R20C20"`, `breaths=200`, `gains=(3, 30)`, `seed=1`.
+        options: Those of `trainer collect`, such as `bench="R20C20"`, `breaths=200`, `gains=(3, 30)`, `seed=1`.
 
     Returns:
         The recording.
@@ -111,7 +114,7 @@ def fit(data: PathLike | Recording | Sequence[PathLike | Recording], **options: 
     """
     several = [data] if isinstance(data, (str, os.PathLike, Recording)) else list(data)
     with _files(several) as files:
-        return run("fit", data=files, **options)
+        return run("fit", *files, **options)
 
 
 def train(out: PathLike, **options: Any) -> Result:
@@ -119,7 +122,7 @@ def train(out: PathLike, **options: Any) -> Result:
 
     Args:
         out: Folder for the controller (`controller.safetensors`) and for the state from which training continues after Ctrl-C.
-        options: Those of `trainer train`, such as `lung="R20C20"`, `gains=(6.5, 265, 0.13)`, `simulator=["a.safetensors"]`.
+        options: Those of `trainer train`, such as `bench="R20C20"`, `gains=(6.5, 265, 0.13)`, `simulator=["a.safetensors"]`.
 
     Returns:
         Scores on the held-out simulator, and the path of the controller.
@@ -134,7 +137,7 @@ def evaluate(controller: PathLike | None = None, *, policy: Policy | str | None 
         controller: A shipped controller such as `"adult"`, a file of `train`, or a rival; default: the PID with `gains`.
         policy: Your own controller, which runs behind the safety envelope: a function of six numbers (`eupnea.policies`), or the
             address of a policy on the policy link (`tcp:HOST:PORT` or `pipe:COMMAND`).
-        options: Those of `trainer evaluate`, such as `lung="R20C20"` (a name or a `Bench`), `gains=(3, 30)`, `seed=1`.
+        options: Those of `trainer evaluate`, such as `bench="R20C20"` (a name or a `Bench`), `gains=(3, 30)`, `seed=1`.
 
     Returns:
         Scores by waveform and their mean, in cmH2O.
@@ -162,7 +165,7 @@ def bound(**options: Any) -> Result:
     """Compute a reference bound: the error of commands optimised on a fully known lung.
 
     Args:
-        options: Those of `lab bound`, such as `lung="R20C20"`, `pips=(15, 35)`, `effort=2`.
+        options: Those of `lab bound`, such as `bench="R20C20"`, `pips=(15, 35)`, `effort=2`.
 
     Returns:
         Scores by lung and waveform, in cmH2O.
@@ -188,7 +191,7 @@ def tune_pid(**options: Any) -> Result:
     """Search for the best P, I, PI and PID controllers.
 
     Args:
-        options: Those of `trainer tune-pid`, such as `lung="R20C20"`, `coarse=True`.
+        options: Those of `trainer tune-pid`, such as `bench="R20C20"`, `grid="coarse"`.
 
     Returns:
         Gains and scores, in cmH2O.

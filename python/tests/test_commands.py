@@ -51,9 +51,16 @@ def test_fit_train_and_evaluate_follow_one_another(recording, simulator, tmp_pat
 
 def test_a_bench_stands_for_its_description():
     bench = eupnea.Bench.from_toml('name = "mine"\n[valve]\nlag_ms = 40.0')
-    slow = eupnea.evaluate(lung=bench, gains=(3, 30), pips=[20], breaths=1)
-    usual = eupnea.evaluate(lung="R20C20", gains=(3, 30), pips=[20], breaths=1)
+    slow = eupnea.evaluate(bench=bench, gains=(3, 30), pips=[20], breaths=1)
+    usual = eupnea.evaluate(bench="R20C20", gains=(3, 30), pips=[20], breaths=1)
     assert slow["mean"]["pid"]["score"] != usual["mean"]["pid"]["score"]
+
+
+def test_a_mapping_is_names_with_values():
+    usual, other = (eupnea.evaluate(pips=[20], breaths=1, settings=settings) for settings in (None, {"peep": 8, "rate": 15}))
+    assert usual["mean"]["pid"]["score"] != other["mean"]["pid"]["score"]
+    with pytest.raises(ValueError, match="there is no setting peeep"):
+        eupnea.evaluate(settings={"peeep": 8})
 
 
 def test_bound_judge_and_robust_return_their_json(recording):
@@ -65,7 +72,7 @@ def test_bound_judge_and_robust_return_their_json(recording):
 
 
 def test_any_command_with_json_can_be_run():
-    result = run("margins", lung="R20C20", gains=(3, 30))
+    result = run("margins", bench="R20C20", gains=(3, 30))
     assert result["seed"] == 1
 
 
@@ -77,7 +84,7 @@ def test_wrong_options_files_and_failures_are_exceptions_of_the_right_type(tmp_p
     with pytest.raises(ValueError, match="no command"):
         run("nonsense")
     with pytest.raises(FileNotFoundError):
-        eupnea.evaluate(weights=tmp_path / "nowhere.bin")
+        eupnea.evaluate(tmp_path / "nowhere.bin")
     with pytest.raises(FileNotFoundError, match="nowhere"):
         eupnea.Recording(tmp_path / "nowhere.parquet")
     (tmp_path / "foreign.parquet").write_bytes(b"PAR1 is not enough PAR1")

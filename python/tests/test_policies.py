@@ -77,7 +77,7 @@ def test_an_agent_sees_and_commands_the_same_as_in_the_environment(observation, 
         commands.append(agent(seen))
         return commands[-1]
 
-    result = eupnea.evaluate(policy=policy, gains=(0, 0), lung="R20C20", pips=[20], breaths=2, seed=1)
+    result = eupnea.evaluate(policy=policy, gains=(0, 0), bench="R20C20", pips=[20], breaths=2, seed=1)
     np.testing.assert_array_equal(observed[: environment.steps], expected)
     actions = np.array([varied(step) for step in range(environment.steps)], np.float32).reshape(2, -1)
     held = np.repeat(np.float32(100) * (np.float32(0.5) + np.float32(0.5) * actions), hold, axis=1)[:, :1000]

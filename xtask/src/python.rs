@@ -68,9 +68,9 @@ pub fn ensure(shell: &Shell) -> Result<()> {
 /// Tunes, collects, fits, trains and evaluates on the Python plant over a pipe, with the smallest useful sizes.
 fn pipeline_on_a_plant(trainer: &Trainer<'_>) -> Result<()> {
     for line in [
-        "tune-pid --plant PLANT --authors-grid --breaths 1 --pips 20",
+        "tune-pid --plant PLANT --grid authors --breaths 1 --pips 20",
         "collect --plant PLANT --gains 2,30 --breaths 40 --out target/python/plant.parquet",
-        "fit --data target/python/plant.parquet --epochs 200 --out target/python/plant.safetensors",
+        "fit target/python/plant.parquet --epochs 200 --out target/python/plant.safetensors",
         "train --plant PLANT --gains 2,30 --rounds 1 --breaths 40 --epochs 200 --iterations 100 --out target/python/run",
         "evaluate --plant PLANT --controller target/python/run/controller.safetensors --breaths 1",
     ] {
@@ -82,9 +82,9 @@ fn pipeline_on_a_plant(trainer: &Trainer<'_>) -> Result<()> {
 /// Opens the files of the pipeline in Python.
 fn open_files(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
     let controller = "target/python/run/controller.safetensors";
-    let replay = format!("--controller {controller} --no-exploration --breaths 12");
+    let replay = format!("--controller {controller} --exploration none --breaths 12");
     trainer.run(&format!("collect --plant PLANT {replay} --out target/python/replay.parquet"), &[PLANT])?;
-    trainer.run(&format!("pack {controller} --out target/python/weights.bin"), &[])?;
+    trainer.run(&format!("export {controller} --out target/python/weights.bin"), &[])?;
     let folder = "target/python";
     cmd!(
         shell,
@@ -98,7 +98,7 @@ fn open_files(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()>
 /// Repeats the margins of a controller with python-control.
 fn repeat_margins(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
     let file = "target/python/margins.json";
-    trainer.lab(&format!("margins --lung R20C20 --gains 3,30 --json {file}"), &[])?;
+    trainer.lab(&format!("margins --bench R20C20 --gains 3,30 --json {file}"), &[])?;
     cmd!(shell, "{python} {EXAMPLES}/margins.py {file}").quiet().run()?;
     Ok(())
 }
@@ -109,9 +109,9 @@ fn run_networks(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<(
     shell.remove_path(folder)?;
     for line in [
         format!("collect --breaths 24 --out {folder}/fast.parquet"),
-        format!("fit --data {folder}/fast.parquet --epochs 20 --out {folder}/state-space.safetensors"),
+        format!("fit {folder}/fast.parquet --epochs 20 --out {folder}/state-space.safetensors"),
         format!(
-            "fit --data target/python/plant.parquet --epochs 20 --architecture stitched --out {folder}/stitched.safetensors"
+            "fit target/python/plant.parquet --epochs 20 --architecture stitched --out {folder}/stitched.safetensors"
         ),
         format!("train-family --units 4 --iterations 2 --out {folder}/family"),
     ] {

@@ -32,7 +32,7 @@ pub enum ServerError {
     Listen(SocketAddr, io::Error),
     /// There is nothing to show.
     #[error(
-        "there is nothing to show: name a device with --port or --bench or a file with --recording or --blackbox, or use --demo"
+        "there is nothing to show: name a device with --port or --bench or a file with --recording, or use --demo"
     )]
     Nothing,
     /// There are too many devices.

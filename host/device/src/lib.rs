@@ -62,7 +62,7 @@ pub enum DeviceError {
     #[error(transparent)]
     Port(#[from] PortError),
     /// The device does not answer.
-    #[error("{0} does not answer: check cable, power and firmware (`trainer flash --firmware` loads it)")]
+    #[error("{0} does not answer: check cable, power and firmware (`trainer flash board.elf` loads it)")]
     Silent(Address),
     /// The line broke.
     #[error("the connection to {0} was lost: reconnect the device and repeat the command")]

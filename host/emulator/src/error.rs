@@ -1,6 +1,7 @@
 //! Errors of the virtual board.
 
 use std::io;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitStatus;
 
@@ -33,9 +34,9 @@ pub enum EmulatorError {
     /// Another board runs in the folder.
     #[error("a board is already running in {}: give each board its own folder", .0.display())]
     FolderInUse(PathBuf),
-    /// The link's port is in use.
-    #[error("port {port} cannot be opened for the link ({error}): choose another, or 0 for any free port")]
-    Port { port: u16, error: io::Error },
+    /// The link's address is in use, or none of this machine.
+    #[error("cannot listen at {address} ({error}): choose another port, or 0 for any free one")]
+    Listen { address: SocketAddr, error: io::Error },
     /// QEMU ended before the firmware was started.
     #[error("QEMU ended during its start with {status}:\n{log}")]
     Ended { status: ExitStatus, log: String },

@@ -18,7 +18,7 @@ pub use lockstep::{LockstepPlant, Paced, PlantEnd};
 
 use std::fs::{self, File};
 use std::io::Read;
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
@@ -48,8 +48,8 @@ pub struct EmulatorConfig {
     pub shim: PathBuf,
     /// Folder of the board, for one board at a time; it keeps the flash and the backup domain between runs. `None`: a temporary folder.
     pub folder: Option<PathBuf>,
-    /// TCP port of the link on this machine; 0 picks a free port.
-    pub link: u16,
+    /// Address at which the link listens, where port 0 picks a free one. `None`: a free port of this machine.
+    pub link: Option<SocketAddr>,
     /// Content of the changeable sectors of the flash, [`FLASH_BYTES`] bytes. `None`: the folder's content; erased in a new folder.
     pub flash: Option<Vec<u8>>,
     /// How long the supply was away since the folder's last board, while a cell supplied the backup domain; counted from the
@@ -57,6 +57,16 @@ pub struct EmulatorConfig {
     pub supply_away: Option<Duration>,
     /// Whether a debugger can connect.
     pub debugger: bool,
+}
+
+/// Picks a free port of this machine.
+const FREE_PORT: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+
+/// Opens a listening socket; returns its address too.
+fn listen(address: SocketAddr) -> Result<(SocketAddr, TcpListener), EmulatorError> {
+    let listener = TcpListener::bind(address);
+    let listener = listener.and_then(|listener| Ok((listener.local_addr()?, listener)));
+    listener.map_err(|error| EmulatorError::Listen { address, error })
 }
 
 /// A running virtual board. Dropping it ends QEMU and the plant's thread.
@@ -88,13 +98,9 @@ impl Emulator {
         let images = [config.firmware, config.shim].map(|image| std::path::absolute(&image).unwrap_or(image));
         let folder = Folder::open(config.folder, config.flash)?;
         folder.outlast(config.supply_away)?;
-        let port = |port| {
-            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port));
-            let listener = listener.and_then(|listener| Ok((listener.local_addr()?, listener)));
-            listener.map_err(|error| EmulatorError::Port { port, error })
-        };
-        let (address, link) = port(config.link)?;
-        let (debugger, debug_port) = if config.debugger { Some(port(0)?).unzip() } else { (None, None) };
+        let (address, link) = listen(config.link.unwrap_or(FREE_PORT))?;
+        let (debugger, debug_port) =
+            if config.debugger { Some(listen(FREE_PORT)?).unzip() } else { (None, None) };
         let plant =
             PlantThread::start(&folder.path, plant).map_err(tried("cannot open the plant's pipes"))?;
         let command = qemu::command(&images[0], &images[1], config.debugger);

@@ -1,6 +1,6 @@
-//! The choice of benches.
+//! The choice of benches: lungs by name, or descriptions in files.
 
-use std::path::PathBuf;
+use std::path::Path;
 
 use anyhow::bail;
 
@@ -9,13 +9,19 @@ use plant::bench::BenchConfig;
 /// The choice of a bench.
 #[derive(Debug, clap::Args)]
 pub struct BenchArgs {
-    /// Lung on the virtual bench: R and C as in R20C20, or a row of the test table as in iso-07; on the machine for newborns as in
-    /// neonate-R100C2 or neonate-iso-14
-    #[arg(long, default_value = "R20C20", conflicts_with = "bench")]
-    pub lung: String,
-    /// Bench description in TOML, which can set every parameter (`trainer inspect --bench R20C20` prints one)
-    #[arg(long, value_name = "FILE")]
-    pub bench: Option<PathBuf>,
+    /// Virtual bench: a lung by R and C as in R20C20, or a row of the test table as in iso-07, and on the machine for newborns as in
+    /// neonate-R100C2 or neonate-iso-14; or a TOML file, which can set every parameter (`trainer inspect --bench R20C20` prints one)
+    #[arg(long, value_name = "LUNG|FILE", default_value = "R20C20")]
+    pub bench: String,
+}
+
+/// The choice of several benches.
+#[derive(Debug, clap::Args)]
+pub struct BenchesArgs {
+    /// Virtual bench: a lung as in R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table, or a TOML file;
+    /// repeat it for more
+    #[arg(long, value_name = "LUNG|FILE", default_value = "R20C20")]
+    pub bench: Vec<String>,
 }
 
 impl BenchArgs {
@@ -24,10 +30,7 @@ impl BenchArgs {
     /// # Errors
     /// A name or a file that describes no bench.
     pub fn benches(&self) -> anyhow::Result<Vec<BenchConfig>> {
-        Ok(match &self.bench {
-            Some(file) => vec![BenchConfig::load(file)?],
-            None => BenchConfig::preset(&self.lung)?,
-        })
+        Ok(BenchConfig::find(&self.bench)?)
     }
 
     /// The chosen bench, which must be a single one.
@@ -35,27 +38,45 @@ impl BenchArgs {
     /// # Errors
     /// A name or a file that describes no bench, or a name that selects several.
     pub fn one(&self) -> anyhow::Result<BenchConfig> {
-        let mut benches = self.benches()?;
-        match benches.len() {
-            1 => Ok(benches.remove(0)),
-            n => bail!("{} selects {n} lungs, but this command needs one: name it as in R20C20", self.lung),
-        }
+        one(&self.bench)
+    }
+
+    /// The file that describes the bench; none if it is a named lung.
+    pub fn file(&self) -> Option<&Path> {
+        BenchConfig::file(&self.bench)
     }
 }
 
-/// The benches in these files or, if there are none, those of the named lungs.
+impl BenchesArgs {
+    /// The chosen benches.
+    ///
+    /// # Errors
+    /// A name or a file that describes no bench.
+    pub fn benches(&self) -> anyhow::Result<Vec<BenchConfig>> {
+        benches(&self.bench)
+    }
+}
+
+/// The bench of this name or file, which must be a single one.
+///
+/// # Errors
+/// A name or a file that describes no bench, or a name that selects several.
+pub fn one(bench: &str) -> anyhow::Result<BenchConfig> {
+    let mut benches = BenchConfig::find(bench)?;
+    match benches.len() {
+        1 => Ok(benches.remove(0)),
+        n => bail!("{bench} selects {n} lungs, but this command needs one: name it as in R20C20"),
+    }
+}
+
+/// The benches of these names and files.
 ///
 /// # Errors
 /// A name or a file that describes no bench.
-pub fn benches(lungs: &[String], files: &[PathBuf]) -> anyhow::Result<Vec<BenchConfig>> {
+pub fn benches(names: &[String]) -> anyhow::Result<Vec<BenchConfig>> {
     let mut benches = Vec::new();
-    for file in files {
-        benches.push(BenchConfig::load(file)?);
-    }
-    if benches.is_empty() {
-        for name in lungs {
-            benches.extend(BenchConfig::preset(name)?);
-        }
+    for name in names {
+        benches.extend(BenchConfig::find(name)?);
     }
     Ok(benches)
 }

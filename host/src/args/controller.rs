@@ -1,4 +1,4 @@
-//! The choice of a controller (gains, a learned controller's file or its weights image) and its control period.
+//! The choice of a controller (gains, or a learned one by its name, file or weights image) and its control period.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::Residual;
 use shared::device::KNOWN_GOOD;
-use shared::weights::{ImageId, decode};
+use shared::weights::{ImageId, MAGIC, decode};
 
 use super::gains::{format_gains, gains};
 use super::plant::{own_period_us, period_us};
@@ -21,15 +21,13 @@ use ventilator::law::AnyLaw;
 /// The choice of a controller.
 #[derive(Debug, clap::Args)]
 pub struct ControllerArgs {
-    /// Gains P,I,D of a PID: percent per cmH2O, percent per cmH2O and second, percent per cmH2O/s [default: 3,30,0]
+    /// Gains P,I,D of a PID, percent of the valve per cmH2O, cmH2O s and cmH2O/s [default: 3,30,0]
     #[arg(long, value_name = "P,I,D", value_parser = gains, group = "which")]
     pub gains: Option<PidGains>,
-    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train`, of any architecture
+    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train`, of any architecture, or as its
+    /// weights image
     #[arg(long, value_name = "NAME|FILE", group = "which")]
     pub controller: Option<PathBuf>,
-    /// A weights image, as written by `trainer pack`
-    #[arg(long, value_name = "FILE", group = "which")]
-    weights: Option<PathBuf>,
     /// Control period, microseconds [default: 1000, or that of the learned controller or the plant]
     #[arg(long, value_name = "US")]
     pub period_us: Option<u32>,
@@ -132,16 +130,13 @@ impl ControllerArgs {
     /// # Errors
     /// Arguments or a file that make no controller.
     pub fn built(&self, plant: Option<&SharedLink>, others: &[&str]) -> anyhow::Result<Chosen> {
-        let learned = match (&self.controller, &self.weights) {
-            (Some(file), _) => match authors(file)? {
-                Some(chosen) => chosen,
-                None => of_image(file, image_among(file, others)?)?,
-            },
-            (None, Some(file)) => of_image(file, read(file)?)?,
-            (None, None) => {
-                let gains = self.gains.unwrap_or(KNOWN_GOOD);
-                return Chosen::pid(gains, period_us(self.period_us, plant)?);
-            }
+        let Some(file) = &self.controller else {
+            let gains = self.gains.unwrap_or(KNOWN_GOOD);
+            return Chosen::pid(gains, period_us(self.period_us, plant)?);
+        };
+        let learned = match authors(file)? {
+            Some(chosen) => chosen,
+            None => of_image(file, image_among(file, others)?)?,
         };
         if let Some(asked) = self.period_us.filter(|asked| *asked != learned.period_us) {
             bail!(
@@ -207,6 +202,10 @@ fn image_among(controller: &Path, others: &[&str]) -> anyhow::Result<Vec<u8>> {
         names.extend(others);
         bail!("there is no controller {}: name a file, or one of {}", controller.display(), names.join(", "));
     }
+    let bytes = read(controller)?;
+    if bytes.starts_with(&MAGIC) || controller.extension().is_some_and(|ending| ending == "bin") {
+        return Ok(bytes);
+    }
     Ok(Learned::load(controller)?.image()?)
 }
 
@@ -232,10 +231,7 @@ mod tests {
     fn kept_results_distinguish_the_content_of_an_authors_file() {
         let chosen = |controller: PathBuf| {
             let controller = Some(controller);
-            ControllerArgs { controller, gains: None, weights: None, period_us: None }
-                .chosen(None)
-                .unwrap()
-                .id
+            ControllerArgs { controller, gains: None, period_us: None }.chosen(None).unwrap().id
         };
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("authors.safetensors");

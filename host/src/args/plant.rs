@@ -13,10 +13,10 @@ use ventilator::SharedLink;
 #[derive(Debug, clap::Args)]
 pub struct PlantArgs {
     /// Your own plant in place of the bench: tcp:HOST:PORT, or 'pipe:COMMAND' to start it
-    #[arg(long, value_name = "PLANT", conflicts_with_all = ["lung", "bench"])]
+    #[arg(long, value_name = "PLANT", conflicts_with = "bench")]
     pub plant: Option<PlantAddress>,
     /// Longest time the plant may take to answer, s
-    #[arg(long, value_name = "S", requires = "plant", value_parser = seconds, default_value_t = PATIENCE.as_secs_f64())]
+    #[arg(long, value_name = "SECONDS", requires = "plant", value_parser = seconds, default_value_t = PATIENCE.as_secs_f64())]
     plant_timeout: f64,
 }
 

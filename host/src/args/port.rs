@@ -13,7 +13,7 @@ use ventilator::PortSource;
 #[derive(Debug, clap::Args)]
 pub struct PortArgs {
     /// A device in place of the bench: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
-    #[arg(long, value_name = "PORT", conflicts_with_all = ["lung", "bench", "plant"])]
+    #[arg(long, value_name = "PORT", conflicts_with_all = ["bench", "plant"])]
     pub port: Option<Address>,
 }
 

@@ -1,26 +1,36 @@
-//! The ventilator's settings as flags: one per field of the schema, with its unit, bounds and default.
+//! The ventilator's settings as one option with names and values.
 //!
-//! The flags are built from [`TEMPLATE_FIELDS`], so a new setting appears here automatically. PIP is excluded: commands
-//! that run several waveforms take a list of PIPs.
+//! Names, units, bounds and defaults are those of [`TEMPLATE_FIELDS`], so a new setting appears here automatically. PIP is excluded:
+//! commands that run several waveforms take a list of PIPs.
 
 use anyhow::bail;
-use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
-use shared::settings::{Field, Settings, SettingsError, TEMPLATE_FIELDS};
+use shared::settings::{FIELDS, Field, Settings, SettingsError, TEMPLATE_FIELDS};
 
 /// All settings except PIP, as typed.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, clap::Args)]
 pub struct SettingsArgs {
-    settings: Settings,
+    #[arg(long, value_name = "NAME=VALUE,..", value_delimiter = ',', value_parser = setting, help = help())]
+    settings: Vec<Typed>,
 }
 
+/// A setting: its place among [`FIELDS`], and its value.
+type Typed = (usize, f32);
+
 impl SettingsArgs {
+    fn settings(&self) -> Settings {
+        let mut values = Settings::default().values();
+        self.settings.iter().for_each(|(field, value)| values[*field] = *value);
+        Settings::from_values(values)
+    }
+
     /// The settings, checked with each of these PIPs.
     ///
     /// # Errors
     /// A setting outside its bounds, or a PIP that does not go with the others.
     pub fn checked(&self, pips: &[f32]) -> Result<Settings, SettingsError> {
-        pips.iter().try_for_each(|pip| Settings { pip: *pip, ..self.settings }.validate())?;
-        Ok(self.settings)
+        let settings = self.settings();
+        pips.iter().try_for_each(|pip| Settings { pip: *pip, ..settings }.validate())?;
+        Ok(settings)
     }
 
     /// The same, checked for a training too.
@@ -30,57 +40,41 @@ impl SettingsArgs {
     pub fn for_training(&self, pips: &[f32]) -> anyhow::Result<Settings> {
         let settings = self.checked(pips)?;
         if settings.rise_time > 0.0 {
-            bail!("training supports only the paper's square rise: leave --rise-time at 0");
+            bail!("training supports only the paper's square rise: leave rise_time at 0");
         }
         Ok(settings)
     }
 }
 
-fn flag(field: &Field) -> Arg {
-    let (unit, min, max) = (field.unit, field.min, field.max);
-    Arg::new(field.name)
-        .long(field.name.replace('_', "-"))
-        .value_name(unit.to_uppercase().replace('%', "PERCENT"))
-        .help(format!("{}, {min} to {max} {unit}", field.description))
-        .help_heading("Settings")
-        .allow_negative_numbers(true)
-        .action(ArgAction::Set)
-        .value_parser(value_parser!(f32))
-        .default_value(field.default.to_string())
+/// Parses a setting, such as `peep=8`.
+fn setting(text: &str) -> Result<Typed, String> {
+    let (name, value) = text.split_once('=').ok_or("write NAME=VALUE, such as peep=8")?;
+    let allowed = |field: &Field| TEMPLATE_FIELDS.iter().any(|allowed| allowed.name == field.name);
+    let place = FIELDS.iter().position(|field| allowed(field) && field.name == name).ok_or_else(|| {
+        let names: Vec<&str> = TEMPLATE_FIELDS.iter().map(|field| field.name).collect();
+        format!("there is no setting {name}: choose from {}", names.join(", "))
+    })?;
+    // Bounds, and a NaN, are checked with the other settings.
+    let value = value.parse().map_err(|_| format!("{value} is not a number, in {}", FIELDS[place].unit))?;
+    Ok((place, value))
 }
 
-impl Args for SettingsArgs {
-    fn augment_args(command: Command) -> Command {
-        command.args(TEMPLATE_FIELDS.iter().map(flag))
-    }
-
-    fn augment_args_for_update(command: Command) -> Command {
-        Self::augment_args(command)
-    }
-}
-
-impl FromArgMatches for SettingsArgs {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        let typed =
-            |field: &Field| Some((field.name.to_owned(), (*matches.get_one::<f32>(field.name)?).into()));
-        // JSON turns a number it cannot represent into null, which the schema refuses as not a number.
-        let values: serde_json::Map<_, _> = TEMPLATE_FIELDS.iter().filter_map(typed).collect();
-        let settings = serde_json::from_value(values.into());
-        let refused =
-            |e| clap::Error::raw(clap::error::ErrorKind::ValueValidation, format!("settings: {e}\n"));
-        Ok(Self { settings: settings.map_err(refused)? })
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        *self = Self::from_arg_matches(matches)?;
-        Ok(())
-    }
+/// All names with bounds, units and defaults.
+fn help() -> String {
+    let one = |Field { name, unit, min, max, default, .. }: &Field| {
+        format!("{name} {min} to {max} {unit} [{default}]")
+    };
+    let all: Vec<String> = TEMPLATE_FIELDS.iter().map(one).collect();
+    format!(
+        "Settings of the breaths, such as peep=8,rate=15, with their [defaults]: {}; 0 switches a trigger or an alarm limit off",
+        all.join(", ")
+    )
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::Parser;
+    use clap::{CommandFactory, Parser};
 
     #[derive(Debug, Parser)]
     struct Line {
@@ -88,48 +82,53 @@ mod tests {
         settings: SettingsArgs,
     }
 
-    fn parse(arguments: &[&str]) -> Settings {
+    fn parse(arguments: &[&str]) -> SettingsArgs {
         let line = std::iter::once("test").chain(arguments.iter().copied());
-        Line::try_parse_from(line).unwrap().settings.settings
+        Line::try_parse_from(line).unwrap().settings
     }
 
     #[test]
-    fn without_flags_the_settings_are_the_schemas_defaults() {
-        assert_eq!(parse(&[]), Settings::default());
+    fn settings_that_are_not_typed_are_the_schemas_defaults() {
+        assert_eq!(parse(&[]).settings(), Settings::default());
+        let several = parse(&["--settings", "peep=8,rate=15", "--settings", "fall_time=0.4"]).settings();
+        let expected = Settings { peep: 8.0, rate: 15.0, fall_time: 0.4, ..Settings::default() };
+        assert_eq!(several, expected);
     }
 
     #[test]
-    fn every_setting_but_pip_has_a_flag_that_sets_it() {
+    fn every_setting_but_pip_is_set_by_its_name() {
         for field in TEMPLATE_FIELDS {
-            let flag = format!("--{}", field.name.replace('_', "-"));
-            let settings = parse(&[&flag, "17.3"]);
-            assert!((field.value(&settings) - 17.3).abs() < f32::EPSILON, "{flag}");
+            let settings = parse(&["--settings", &format!("{}=17.3", field.name)]).settings();
+            assert!((field.value(&settings) - 17.3).abs() < f32::EPSILON, "{}", field.name);
             let others = TEMPLATE_FIELDS.iter().filter(|other| other.name != field.name);
             others.for_each(|other| assert!(other.value(&settings).total_cmp(&other.default).is_eq()));
         }
-        assert!(TEMPLATE_FIELDS.iter().all(|field| field.name != "pip"));
-        assert_eq!(TEMPLATE_FIELDS.len(), shared::settings::FIELDS.len() - 1);
+        let refused = setting("pip=20").unwrap_err();
+        assert!(refused.contains("there is no setting pip") && refused.contains("rise_time"), "{refused}");
+        assert_eq!(TEMPLATE_FIELDS.len(), FIELDS.len() - 1);
     }
 
     #[test]
     fn the_help_gives_bounds_and_default() {
-        let mut command = Line::augment_args(Command::new("test"));
+        let mut command = Line::command();
         // The terminal's width determines the line breaks.
         let help = command.render_help().to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-        assert!(help.contains("--pressure-limit") && help.contains("15 to 70 cmH2O"), "{help}");
-        assert!(help.contains("[default: 60]"), "{help}");
+        assert!(help.contains("pressure_limit 15 to 70 cmH2O [60]"), "{help}");
     }
 
     #[test]
     fn one_impossible_pip_among_possible_ones_is_found() {
-        let line = SettingsArgs { settings: parse(&["--peep", "12"]) };
+        let line = parse(&["--settings", "peep=12"]);
         assert!(line.checked(&[15.0, 20.0]).is_ok());
         assert!(matches!(line.checked(&[15.0, 10.0]), Err(SettingsError::PipBelowPeep { .. })));
     }
 
     #[test]
     fn a_setting_that_is_no_number_is_refused() {
-        assert!(Line::try_parse_from(["test", "--peep", "nan"]).is_err());
-        assert!(Line::try_parse_from(["test", "--peep", "much"]).is_err());
+        let nan = parse(&["--settings", "peep=nan"]);
+        assert!(matches!(nan.checked(&[20.0]), Err(SettingsError::OutOfBounds { .. })));
+        for wrong in ["peep=much", "peep", "peep="] {
+            assert!(Line::try_parse_from(["test", "--settings", wrong]).is_err(), "{wrong}");
+        }
     }
 }

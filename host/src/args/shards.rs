@@ -29,7 +29,7 @@ pub struct ShardFolderArgs {
     #[command(flatten)]
     shards: ShardArgs,
     /// Folder of the shards; without --shard and --merge the same as with --shard auto
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
 }
 

@@ -12,12 +12,12 @@ use device::port::Address;
 use show::blackbox::{csv, events, report, summary};
 use show::monitor::words;
 
-/// Read a device's flight recorder after a fault: the last seconds of control ticks and a log of events
+/// Read a device's flight recorder after a fault
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer blackbox --port /dev/ttyACM0
-  trainer blackbox --port /dev/ttyACM0 --out fault.csv --html fault.html
+  trainer blackbox --port /dev/ttyACM0 --out fault.csv --report fault.html
   trainer blackbox --port tcp:localhost:5555 --json - --clear
 
 The recorder contains the last 2 s of control ticks, the last 60 s at a twentieth of their rate, and
@@ -31,11 +31,11 @@ pub struct Args {
     #[arg(long, value_name = "PORT")]
     port: Address,
     /// Write the recorded ticks (*.csv) or everything (*.json) to this file
-    #[arg(long, value_name = "FILE.csv|FILE.json", value_parser = out)]
+    #[arg(long, value_name = "PATH", value_parser = out)]
     out: Option<PathBuf>,
-    /// Write an HTML page with plots of pressure, target and valve, and the whole log
+    /// Write plots of pressure, target and valve, and the whole log, to an HTML report
     #[arg(long, value_name = "FILE.html")]
-    html: Option<PathBuf>,
+    report: Option<PathBuf>,
     /// Print only the newest N events
     #[arg(long, value_name = "N", default_value_t = 40)]
     events: usize,
@@ -94,7 +94,7 @@ impl Command for Args {
             }
             context.saved(path);
         }
-        context.report(self.html.as_ref(), || Ok(report(&found.blackbox, &name)))?;
+        context.report(self.report.as_ref(), || Ok(report(&found.blackbox, &name)))?;
         Ok(Some(found))
     }
 

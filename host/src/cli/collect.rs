@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{anyhow, bail};
 use serde::Serialize;
+use serde_json::{Value, json};
 use shared::breath::PAPER_PIPS;
 use shared::explore::{Exploration, Range};
 
@@ -16,22 +17,22 @@ use show::report::{Cell, Table};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
 
-/// Record breaths under a known-good PID with random perturbations, as in the paper
+/// Record breaths under a PID with random perturbations
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer collect --out first.parquet
-  trainer collect --out stiff.parquet --lung R50C10 --gains 2,30 --boundary-probability 0.3
+  trainer collect --out stiff.parquet --bench R50C10 --exploration boundary_probability=0.3
   trainer collect --out real.parquet --port /dev/ttyACM0 --breaths 60
   trainer collect --out mine.parquet --plant tcp:localhost:7000
   trainer collect --out mine.parquet --plant 'pipe:python3 examples/python/plant.py'
-  trainer collect --out slow.parquet --period-us 30000 --pips 15,25 --triangle-height=-20:20
+  trainer collect --out slow.parquet --period-us 30000 --exploration triangle_height=-20:20
 
 Ctrl-C ends the collection and saves the breaths recorded so far. So does a plant or a device that
 fails.")]
 pub struct Args {
-    /// File to write the recording to
-    #[arg(long, value_name = "FILE.parquet")]
+    /// File to write the recording to (.parquet)
+    #[arg(long, value_name = "PATH")]
     out: PathBuf,
     #[command(flatten)]
     source: SourceArgs,
@@ -62,42 +63,50 @@ pub struct Args {
 
 /// Parameters of the perturbations.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Exploration")]
 struct ExplorationArgs {
-    /// Record the controller without perturbations
-    #[arg(long)]
-    no_exploration: bool,
-    /// Probability of a perturbation at the breath's start; otherwise a triangle within the inspiration
-    #[arg(long, value_name = "P", default_value_t = Exploration::default().boundary_probability)]
-    boundary_probability: f32,
-    /// Command added at the start of the breath, percent of the valve
-    #[arg(long, value_name = "LOW:HIGH", value_parser = range, allow_hyphen_values = true,
-        default_value = text(Exploration::default().boundary_height))]
-    boundary_height: Range,
-    /// Time until the added command has faded out, s
-    #[arg(long, value_name = "LOW:HIGH", value_parser = range,
-        default_value = text(Exploration::default().boundary_duration))]
-    boundary_duration: Range,
-    /// Peak of a triangle, percent of the valve
-    #[arg(long, value_name = "LOW:HIGH", value_parser = range, allow_hyphen_values = true,
-        default_value = text(Exploration::default().triangle_height))]
-    triangle_height: Range,
-    /// Duration of a triangle, s
-    #[arg(long, value_name = "LOW:HIGH", value_parser = range,
-        default_value = text(Exploration::default().triangle_duration))]
-    triangle_duration: Range,
+    #[arg(long, value_name = "NAME=VALUE,..", value_delimiter = ',', value_parser = perturbation, help = perturbations())]
+    exploration: Vec<Perturbation>,
+}
+
+/// A parameter of [`Exploration`] as typed, by name; none for no perturbation at all.
+type Perturbation = Option<(String, Value)>;
+
+/// Switches the perturbations off.
+const NONE: &str = "none";
+
+/// Parses a parameter: `NAME=NUMBER` or `NAME=LOW:HIGH`.
+fn perturbation(typed: &str) -> Result<Perturbation, String> {
+    if typed == NONE {
+        return Ok(None);
+    }
+    let (name, value) = typed.split_once('=').ok_or("write NAME=VALUE, or none")?;
+    let value = match value.parse::<f32>() {
+        Ok(number) => json!(number),
+        Err(_) => json!(range(value)?),
+    };
+    // Here, so that the error is that of this parameter.
+    serde_json::from_value::<Exploration>(json!({ name: value })).map_err(|error| error.to_string())?;
+    Ok(Some((name.to_owned(), value)))
+}
+
+/// The help of the option: names, units and defaults.
+fn perturbations() -> String {
+    let Exploration { boundary_probability, boundary_height, boundary_duration, .. } = Exploration::default();
+    let Exploration { triangle_height, triangle_duration, .. } = Exploration::default();
+    let [height, fade, peak, length] =
+        [boundary_height, boundary_duration, triangle_height, triangle_duration].map(text);
+    format!(
+        "Perturbations, with their [defaults], or {NONE}: boundary_probability [{boundary_probability}] is the share of breaths that \
+         are perturbed at their start, by boundary_height [{height}] percent of the valve, which fades out within boundary_duration \
+         [{fade}] s; the others get a triangle within the inspiration, of triangle_height [{peak}] percent and triangle_duration \
+         [{length}] s"
+    )
 }
 
 impl ExplorationArgs {
-    fn exploration(&self) -> Option<Exploration> {
-        (!self.no_exploration).then_some(Exploration {
-            boundary_probability: self.boundary_probability,
-            boundary_height: self.boundary_height,
-            boundary_duration: self.boundary_duration,
-            triangle_height: self.triangle_height,
-            triangle_duration: self.triangle_duration,
-            ..Exploration::default()
-        })
+    fn exploration(&self) -> anyhow::Result<Option<Exploration>> {
+        let typed: Option<serde_json::Map<_, _>> = self.exploration.iter().cloned().collect();
+        Ok(typed.map(|typed| serde_json::from_value(typed.into())).transpose()?)
     }
 }
 
@@ -176,7 +185,7 @@ fn config(args: &Args) -> anyhow::Result<CollectConfig> {
         pips: args.pips.clone(),
         pip_range: args.pip_range,
         settings: args.settings.checked(&args.pips)?,
-        exploration: args.exploration.exploration(),
+        exploration: args.exploration.exploration()?,
         aborts: args.aborts,
         seed: seeds::collection(args.seed, 0),
     })
@@ -221,7 +230,7 @@ fn table(summary: &Summary) -> Table {
 fn range(text: &str) -> Result<Range, String> {
     let number = |part: &str| part.trim().parse::<f32>().ok();
     let ends = text.split_once(':').and_then(|(low, high)| Some((number(low)?, number(high)?)));
-    ends.ok_or_else(|| "write LOW:HIGH, such as 8:37; write =-30:30 if it starts below zero".to_owned())
+    ends.ok_or_else(|| "write LOW:HIGH, such as 8:37".to_owned())
 }
 
 /// Formats a range as the command line accepts it.
@@ -241,5 +250,26 @@ mod tests {
         for wrong in ["8", "8:", "low:high", ""] {
             assert!(range(wrong).unwrap_err().contains("LOW:HIGH"), "{wrong}");
         }
+    }
+
+    fn typed(words: &[&str]) -> Result<Option<Exploration>, String> {
+        let exploration = words.iter().map(|word| perturbation(word)).collect::<Result<_, _>>()?;
+        Ok(ExplorationArgs { exploration }.exploration().unwrap())
+    }
+
+    #[test]
+    fn perturbations_are_named_values() {
+        assert_eq!(typed(&[]), Ok(Some(Exploration::default())));
+        assert_eq!(typed(&["none"]), Ok(None));
+        let words = ["boundary_probability=0.3", "boundary_height=1:2", "triangle_duration=7:8"];
+        let expected = Exploration {
+            boundary_probability: 0.3,
+            boundary_height: (1.0, 2.0),
+            triangle_duration: (7.0, 8.0),
+            ..Exploration::default()
+        };
+        assert_eq!(typed(&words), Ok(Some(expected)));
+        assert!(typed(&["height=1:2"]).unwrap_err().contains("boundary_probability"));
+        assert!(typed(&["boundary_height=1"]).is_err() && typed(&["boundary_height"]).is_err());
     }
 }

@@ -23,14 +23,14 @@ use learn::pipeline::commission::{
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 use study::farm::{Alone, OnBench, Scores};
 
-/// Train the family's controller further for one unit, from a minute of its own breaths
+/// Train the family's controller further on one unit's own breaths
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer commission --port /dev/ttyACM0 --out out/unit-7
   trainer commission --bench my-unit.toml --out out/mine
   trainer commission --plant tcp:localhost:7000 --out out/plant
-  trainer commission --lung R20C20 --controller out/adult/controller.safetensors --out out/r20c20
+  trainer commission --bench R20C20 --controller out/adult/controller.safetensors --out out/r20c20
 
 Connect a passive test lung of medium resistance, such as R20C20, never a patient: a recording on
 a low resistance says little about small flows. The command works in five stages: it records the
@@ -56,7 +56,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = CommissionRun::default().collect.breaths as u32,
         value_parser = clap::value_parser!(u32).range(BREATHS_NEEDED as i64..))]
     breaths: u32,
-    /// Gains P,I,D of the PID that records
+    /// Gains P,I,D of the PID that records, percent of the valve per cmH2O, cmH2O s and cmH2O/s
     #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&CommissionRun::default().collector))]
     collector: PidGains,
     /// PIPs of every second breath, of half of the training and of the comparison; the others are random ones around them, cmH2O

@@ -7,7 +7,7 @@ use anyhow::ensure;
 use shared::breath::DEFAULT_PERIOD_US;
 
 #[cfg(unix)]
-use super::qemu::ImageArgs;
+use super::qemu::{IMAGES, board};
 use crate::args::bench::BenchArgs;
 use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use learn::controller::TrainConfig;
@@ -15,18 +15,18 @@ use learn::pipeline::PipelineConfig;
 use score::baselines::Search;
 use study::demo::{DemoConfig, DemoSummary, Venue, run as run_demo};
 
-/// Run the whole pipeline on one lung and write a report: tune, record, fit, train, compare
+/// Run the whole pipeline on one lung and write a report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer demo
   trainer demo --seed 2 --out out/seed-2
-  trainer demo --lung R50C10 --rounds 4 --out out/stiff
+  trainer demo --bench R50C10 --rounds 4 --out out/stiff
   trainer demo --period-us 30000 --out out/paper
   trainer demo --breathing --out out/breathing
-  trainer demo --board qemu --out out/board
+  trainer demo --board --out out/board
 
-With --board qemu the real firmware in QEMU records and compares the breaths, and the weights are
+With --board the real firmware in QEMU records and compares the breaths, and the weights are
 flashed over its link; the table is the same to the last bit. `cargo xtask firmware` builds the
 images, `cargo xtask setup` installs QEMU.
 
@@ -35,7 +35,7 @@ true airway pressure, which the bench knows. The PID and the learned controller 
 noise, under seeds that neither tuning nor training has used.")]
 pub struct Args {
     /// Folder for summary.json, report.html, the recording, simulator, controller and weights image
-    #[arg(long, value_name = "DIR", default_value = "out/demo")]
+    #[arg(long, value_name = "PATH", default_value = "out/demo")]
     out: PathBuf,
     #[command(flatten)]
     bench: BenchArgs,
@@ -51,22 +51,13 @@ pub struct Args {
     /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Run the breaths on a board in place of this process: `qemu` is the virtual board
+    /// Run the breaths on the virtual board in place of this process, with the firmware images in this folder [default: none; without
+    /// a folder target/firmware]
     #[cfg(unix)]
-    #[arg(long, value_name = "BOARD")]
-    board: Option<Board>,
-    #[cfg(unix)]
-    #[command(flatten)]
-    images: ImageArgs,
+    #[arg(long, value_name = "DIR", num_args = ..=1, default_missing_value = IMAGES)]
+    board: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-/// The boards to choose from.
-#[cfg(unix)]
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Board {
-    Qemu,
 }
 
 impl Command for Args {
@@ -126,12 +117,12 @@ impl Args {
     /// Where the breaths run.
     #[cfg(unix)]
     fn venue(&self) -> anyhow::Result<Venue> {
-        let Some(Board::Qemu) = self.board else { return Ok(Venue::InProcess) };
+        let Some(images) = &self.board else { return Ok(Venue::InProcess) };
         ensure!(
             self.period_us == DEFAULT_PERIOD_US,
             "the firmware's control period is {DEFAULT_PERIOD_US} us: omit --period-us with --board"
         );
-        Ok(Venue::Board(self.images.board()))
+        Ok(Venue::Board(board(images)))
     }
 
     #[cfg(not(unix))]

@@ -1,7 +1,7 @@
 //! `trainer evaluate`: scores a controller; compares a learned one with its PID. Another program may offer further controllers.
 
 use std::fmt::Debug;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use serde::Serialize;
@@ -66,14 +66,14 @@ impl Choice for ControllerArgs {
 
     const HELP: &'static str = "\
 Examples:
-  trainer evaluate --gains 2,30,0.01 --lung R5C50
-  trainer evaluate --controller controller.safetensors --lung R20C20 --report evaluation.html
-  trainer evaluate --controller controller.safetensors --lung paper --breathing
-  trainer evaluate --weights weights.bin --port tcp:localhost:5555
+  trainer evaluate --gains 2,30,0.01 --bench R5C50
+  trainer evaluate --controller controller.safetensors --bench R20C20 --report evaluation.html
+  trainer evaluate --controller controller.safetensors --bench paper --breathing
+  trainer evaluate --controller weights.bin --port tcp:localhost:5555
   trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
-  trainer evaluate --controller controller.safetensors --lung R5C50 --breaths-of-learning 20
-  trainer evaluate --lung neonate-iso-14 --pips 35 --rate 30 --inspiratory-time 0.6
-  trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
+  trainer evaluate --controller controller.safetensors --bench R5C50 --breaths-of-learning 20
+  trainer evaluate --bench neonate-iso-14 --pips 35 --settings rate=30,inspiratory_time=0.6
+  trainer evaluate --controller weights.bin --against 2.5,25,0.02 --bench iso-05 --seed 7 --json -
 
 The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
 from the true airway pressure; with --plant from the true pressure if the plant reports it; with
@@ -94,13 +94,14 @@ breaths of these patients that the clock starts (timed) and of those that an eff
     }
 }
 
-/// Compare controllers on any bench, device or plant, under the same sensor noise
+/// Compare controllers on any bench, device or plant
 #[derive(Debug, clap::Args)]
 #[command(after_help = C::HELP)]
 pub struct Args<C: Choice> {
     #[command(flatten)]
     choice: C,
-    /// Gains P,I,D of the PID to compare the controller with [default: the PID underneath it]
+    /// Gains P,I,D of the PID to compare the controller with, percent of the valve per cmH2O, cmH2O s and cmH2O/s
+    /// [default: the PID underneath it]
     #[arg(long, value_name = "P,I,D", value_parser = gains, conflicts_with = "gains")]
     against: Option<PidGains>,
     #[command(flatten)]
@@ -299,10 +300,14 @@ impl<C: Choice> Command for Args<C> {
         context.report(self.report.as_ref(), || report(self, &setup, &comparison))?;
         Ok(Some(Outcome::Comparison(Box::new(Summary {
             seed: self.seed,
-            lung: setup.bench.filter(|_| self.source.bench.bench.is_none()).map(|bench| bench.name),
+            lung: setup
+                .bench
+                .as_ref()
+                .filter(|_| self.source.bench.file().is_none())
+                .map(|bench| bench.name.clone()),
             plant: self.source.plant.plant.as_ref().map(ToString::to_string),
             port: self.source.port.port.as_ref().map(ToString::to_string),
-            bench: self.source.bench.bench.clone(),
+            bench: self.source.bench.file().filter(|_| setup.bench.is_some()).map(Path::to_owned),
             controller: setup.chosen.name.clone(),
             weights_id: setup.chosen.weights_id.clone(),
             gains: setup.pid.pid().gains(),

@@ -2,21 +2,25 @@
 
 mod network;
 mod recording;
+mod weights;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use serde::Serialize;
 
+use crate::args::key::KeyArgs;
 use crate::command::{Command, Context, Output, OutputArgs};
 use data::export::pirds::Layout;
 
 /// Arguments of `export`.
 #[derive(Debug, clap::Args)]
 #[command(
-    about = "Convert a recording to MCAP or PIRDS, or a learned controller or simulator to ONNX",
+    about = "Write weights images for devices, and ONNX, MCAP or PIRDS files",
     after_help = "\
 Examples:
+  trainer export adult --out weights.bin
+  trainer export controller.safetensors --out weights.bin --key weights.key
   trainer export first.parquet --out first.mcap
   trainer export first.parquet --out first.json
   trainer export adult --out adult.onnx
@@ -24,6 +28,8 @@ Examples:
   trainer export family.safetensors --unit 2 --out unit-2.onnx
 
 The ending of --out chooses the format:
+  .bin     controller as the weights image that `trainer flash` uploads: before it is written, it is
+           read back, and its controller runs once as a check
   .mcap    recording as MCAP, without loss, for Foxglove and PlotJuggler: the topics /pressure,
            /valves, /breath and /flow, and the origin
   .json    recording as a JSON array of PIRDS events, as VentDisplay loads it
@@ -31,7 +37,7 @@ The ending of --out chooses the format:
   .onnx    controller or simulator as an ONNX graph, which other programs can run
 
 PIRDS rounds: pressures to 0.1 cmH2O, flows to 1 mL/min, times to 1 ms. It has no valve commands.
-`trainer import pirds` reads it back.
+`trainer import` reads it back.
 
 In ONNX, a controller becomes one control tick, a simulator one block of ticks: the state is an
 input and an output, and the number of rows is free, so that many can run side by side. The
@@ -42,8 +48,8 @@ pub struct Args {
     /// A recording; a controller (a shipped one, such as adult, or a file as written by `trainer train`); or a simulator's file
     #[arg(value_name = "FILE|NAME")]
     file: PathBuf,
-    /// File to write; its ending chooses the format
-    #[arg(long, value_name = "FILE.mcap|.json|.jsonl|.onnx")]
+    /// File to write; its ending chooses the format: .bin, .onnx, .mcap, .json or .jsonl
+    #[arg(long, value_name = "PATH")]
     out: PathBuf,
     /// The unit of a simulator of several, from 0 [default: the first unit; for a hybrid, a ventilator of no recorded one]
     #[arg(long, value_name = "N")]
@@ -52,6 +58,11 @@ pub struct Args {
     #[arg(long, value_name = "FILE.json")]
     check: Option<PathBuf>,
     #[command(flatten)]
+    key: KeyArgs,
+    /// Version of the signed weights image; devices store only newer ones [default: seconds since 1970]
+    #[arg(long, value_name = "N", requires = "key")]
+    image_version: Option<u32>,
+    #[command(flatten)]
     output: OutputArgs,
 }
 
@@ -59,6 +70,7 @@ pub struct Args {
 #[derive(Debug, Serialize)]
 #[serde(untagged)]
 pub enum Outcome {
+    Weights(weights::Summary),
     Recording(recording::Exported),
     Network(network::Summary),
 }
@@ -66,13 +78,15 @@ pub enum Outcome {
 /// A format, by the ending of the file to write.
 #[derive(Clone, Copy)]
 enum Format {
+    Weights,
     Mcap,
     Pirds(Layout),
     Onnx,
 }
 
 /// The endings of files, with their formats.
-const FORMATS: [(&str, Format); 4] = [
+const FORMATS: [(&str, Format); 5] = [
+    ("bin", Format::Weights),
     ("mcap", Format::Mcap),
     ("json", Format::Pirds(Layout::Array)),
     ("jsonl", Format::Pirds(Layout::Lines)),
@@ -93,7 +107,11 @@ impl Command for Args {
                 "--unit and --check belong to a controller or simulator: write a file that ends with .onnx"
             );
         }
+        if !matches!(format, Format::Weights) && self.key.key.is_some() {
+            bail!("--key signs a weights image: write a file that ends with .bin");
+        }
         match format {
+            Format::Weights => weights::weights(self, context).map(Outcome::Weights),
             Format::Mcap => recording::mcap(self, context).map(Outcome::Recording),
             Format::Pirds(layout) => recording::pirds(self, layout, context).map(Outcome::Recording),
             Format::Onnx => network::onnx(self, context).map(Outcome::Network),

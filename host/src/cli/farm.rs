@@ -17,7 +17,7 @@ use learn::pipeline::commission::{BREATHS_NEEDED, CommissionRun};
 use study::farm::description::Farm;
 use study::farm::{FarmConfig, FarmResult, FarmRun, FarmStage, Simulators, UnitName, report};
 
-/// Record, train and flash several ventilators at once, and compare every controller on every unit
+/// Record, train and flash several ventilators, and compare them
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -62,7 +62,7 @@ pub struct Args {
     #[arg(long = "virtual", value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     virtual_units: Option<u32>,
     /// Folder of the farm
-    #[arg(long, value_name = "DIR", default_value = "out/farm")]
+    #[arg(long, value_name = "PATH", default_value = "out/farm")]
     out: PathBuf,
     /// The learned controller to start from: a shipped one, or a file as written by `trainer train-family`
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
@@ -96,7 +96,7 @@ pub struct Args {
     #[arg(long, value_name = "UNIT")]
     adopt: Vec<UnitName>,
     /// Time to wait for a unit that does not answer, s
-    #[arg(long, value_name = "S", default_value_t = 30)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 30)]
     patience: u64,
     /// Factor by which devices in this process are faster than a chip
     #[arg(long, value_name = "FACTOR", default_value_t = MOST_PACE, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_PACE)))]
@@ -140,11 +140,6 @@ impl Command for Args {
             (None, Some(count)) => Farm::virtual_units(count, self.seed),
             (None, None) => bail!("name a farm's FILE.toml, or give --virtual N"),
         };
-        if self.key.fixes_version() {
-            bail!(
-                "a farm uploads several images to each device, which stores only newer ones: leave out --image-version"
-            );
-        }
         let start = learned(&self.controller)?;
         let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
         let sign = |image| self.key.signed(image).map_err(|error| error.to_string());

@@ -23,11 +23,11 @@ use verdict::fit_summary::{FitSummary, RESPONSE_S};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer fit --data first.parquet --out simulator.safetensors
-  trainer fit --data first.parquet second.parquet --out simulator.safetensors --report fit.html
-  trainer fit --data slow.parquet --out paper.safetensors --architecture stitched
-  trainer fit --data slow.parquet --out paper.safetensors --preset paper-30ms
-  trainer fit --data air.parquet --hold-out-lung 5:20 --hold-out-lung 50:20 --json -
+  trainer fit first.parquet --out simulator.safetensors
+  trainer fit first.parquet second.parquet --out simulator.safetensors --report fit.html
+  trainer fit slow.parquet --out paper.safetensors --architecture stitched
+  trainer fit slow.parquet --out paper.safetensors --preset paper-30ms
+  trainer fit air.parquet --hold-out-lung 5:20 --hold-out-lung 50:20 --json -
 
 The open-loop distance is the mean absolute error over the inspiration when recorded commands are
 replayed from rest, without pressure feedback. Ctrl-C ends the fit and saves the simulator trained
@@ -38,10 +38,10 @@ keeps a lung out of the fit, to score the simulator on a lung it has never seen.
 has flows, the same breaths are also predicted by classical identification, from the measured flow.")]
 pub struct Args {
     /// Recordings of one ventilator; several files are joined
-    #[arg(long, value_name = "FILE.parquet", num_args = 1.., required = true)]
+    #[arg(value_name = "FILE.parquet", required = true)]
     data: Vec<PathBuf>,
-    /// File to write the simulator to
-    #[arg(long, value_name = "FILE.safetensors")]
+    /// File to write the simulator to (.safetensors)
+    #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
     /// Use third-party settings, which the recording must match: paper-30ms is those of the paper's authors
     #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
@@ -49,7 +49,7 @@ pub struct Args {
     /// Model: `state-space`, or `hybrid` (a learned ventilator with a lung of known R and C), both trained open loop on
     /// whole breaths; or `stitched`, the networks of the paper's authors, trained on single steps of about 30 ms
     /// [default: hybrid if the recording names R and C, else state-space; or that of the preset]
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, value_name = "NAME")]
     architecture: Option<Kind>,
     /// Passes over the recording [default: enough for 10000 gradient steps, 15000 for hybrid; 500 for stitched]
     #[arg(long, value_name = "N")]

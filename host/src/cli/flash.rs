@@ -20,14 +20,14 @@ use learn::controller::learned::{KIND, Learned};
 /// The main board's chip, as probe-rs names it.
 const CHIP: &str = "STM32F405RG";
 
-/// Write weights to a device over its link, or the firmware through a debug probe (--firmware)
+/// Write weights to a device, or its firmware through a debug probe
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer flash weights.bin --port /dev/ttyACM0
   trainer flash weights.bin --port tcp:localhost:5555 --no-reset
   trainer flash weights.bin --port /dev/ttyACM0 --key weights.key
-  trainer flash --firmware target/firmware/board.elf
+  trainer flash target/firmware/board.elf
 
 Weights go into the slot that is not running, are read back, and run after a restart. Until then,
 and if anything goes wrong, the old weights stay. An interrupted upload continues where it stopped.
@@ -35,20 +35,17 @@ A device that is ventilating refuses an upload. A device with a key refuses weig
 signed with it (--key), not newer than its own, or for another plant. The firmware is loaded with
 probe-rs.")]
 pub struct Args {
-    /// Weights image, as written by `trainer pack`
-    #[arg(value_name = "weights.bin", required_unless_present = "firmware", requires = "port")]
-    weights: Option<PathBuf>,
+    /// Weights image, as written by `trainer export`, for the device at --port; or a firmware image (.elf) for the debug probe
+    #[arg(value_name = "FILE")]
+    image: PathBuf,
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     port: Option<Address>,
     /// Store the weights, but keep the old ones running until the next restart
     #[arg(long)]
     no_reset: bool,
-    /// Firmware image to load through the debug probe
-    #[arg(long, value_name = "FILE.elf", conflicts_with_all = ["weights", "port"])]
-    firmware: Option<PathBuf>,
     /// The chip that the firmware is built for
-    #[arg(long, value_name = "NAME", default_value = CHIP, requires = "firmware")]
+    #[arg(long, value_name = "NAME", default_value = CHIP, conflicts_with = "port")]
     chip: String,
     #[command(flatten)]
     key: KeyArgs,
@@ -72,10 +69,14 @@ impl Command for Args {
     }
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
-        match (&self.weights, &self.port, &self.firmware) {
-            (Some(weights), Some(port), _) => flash_weights(self, weights, port, context).map(Some),
-            (_, _, Some(firmware)) => flash_firmware(firmware, &self.chip, context).map(|()| None),
-            _ => bail!("give a weights file and --port, or --firmware"),
+        let firmware = self.image.extension().is_some_and(|ending| ending == "elf");
+        match &self.port {
+            Some(port) if !firmware => flash_weights(self, &self.image, port, context).map(Some),
+            None if firmware => flash_firmware(&self.image, &self.chip, context).map(|()| None),
+            Some(_) => bail!("firmware is loaded through the debug probe: leave out --port"),
+            None => {
+                bail!("name the device of the weights with --port; firmware is a file that ends with .elf")
+            }
         }
     }
 }
@@ -86,7 +87,8 @@ fn flash_weights(args: &Args, file: &Path, port: &Address, context: &Context<'_>
         // A controller's file has the better reason: its architecture, or that it is not packed yet.
         if tensors::kind(file).is_ok_and(|kind| kind == KIND) {
             Learned::load(file)?;
-            bail!("{} is no weights image yet: write one with `trainer pack`", file.display());
+            let file = file.display();
+            bail!("{file} is no weights image yet: write one with `trainer export {file} --out weights.bin`");
         }
         return Err(error).with_context(|| file.display().to_string());
     }

@@ -18,16 +18,16 @@ use device::port::Address;
 Examples:
   trainer identify --port /dev/ttyACM0
   trainer identify --port tcp:localhost:5555 --json -
-  trainer identify --data air.parquet --report lungs.html
-  trainer identify --data air.parquet --group CT_AIR:5 --write-plant lung.toml
+  trainer identify air.parquet --report lungs.html
+  trainer identify air.parquet --group CT_AIR:5 --write-plant lung.toml
 
 With --port: prints the device's identity, its firmware, the weights it contains, and its newest
 calibration with its age. Nothing on the device changes; ventilation continues.
 
-With --data: estimates compliance C, resistance R and turbulent resistance R2 of every lung in a
-recording with flows, by least squares of P = P0 + V/C + R q + R2 q |q| over whole breaths. The 95 %
-intervals come from the spread between breaths. Drift of the flow sensors is removed by assuming
-that the inspired volume is expired again. 'Behind the circuit' also removes the volume taken up by
+With a recording that has flows: estimates compliance C, resistance R and turbulent resistance R2 of
+every lung, by least squares of P = P0 + V/C + R q + R2 q |q| over whole breaths. The 95 % intervals
+come from the spread between breaths. Drift of the flow sensors is removed by assuming that the
+inspired volume is expired again. 'Behind the circuit' also removes the volume taken up by
 the tubes."
 )]
 pub struct Args {
@@ -35,7 +35,7 @@ pub struct Args {
     #[arg(long, value_name = "PORT")]
     port: Option<Address>,
     /// A recording with flows
-    #[arg(long, value_name = "FILE.parquet")]
+    #[arg(value_name = "FILE.parquet")]
     data: Option<PathBuf>,
     #[command(flatten)]
     lung: LungArgs,
@@ -43,7 +43,7 @@ pub struct Args {
     output: OutputArgs,
 }
 
-/// Options that belong to `--data`.
+/// Options that belong to a recording.
 #[derive(Debug, clap::Args)]
 struct LungArgs {
     /// Identify only this lung: a group of the recording, as the table names it
@@ -76,7 +76,7 @@ impl Command for Args {
         match (&self.port, &self.data) {
             (Some(port), _) => connected::run(port, context).map(Box::new).map(Outcome::Device),
             (None, Some(data)) => lung::run(data, &self.lung, context).map(Outcome::Lungs),
-            (None, None) => anyhow::bail!("name a device with --port or a recording with --data"),
+            (None, None) => anyhow::bail!("name a device with --port, or a recording"),
         }
         .map(Some)
     }

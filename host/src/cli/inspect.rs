@@ -10,6 +10,7 @@ use shared::control::residual::ResidualSpec;
 use shared::weights::trust::is_signed;
 use shared::weights::{ARCHITECTURE, FORMAT_VERSION, Image, MAGIC, decode};
 
+use crate::args::bench::one;
 use crate::args::controller::image_id;
 use crate::command::{Command, Context, Output, OutputArgs};
 use data::recording::Recording;
@@ -21,7 +22,7 @@ use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
 use show::report::{Cell, Table};
 
-/// Show what a recording, simulator, controller or weights image contains
+/// Show the contents of a recording, simulator, controller or image
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -32,8 +33,8 @@ pub struct Args {
     /// Any file that the trainer writes
     #[arg(value_name = "FILE", required_unless_present = "bench")]
     file: Option<PathBuf>,
-    /// Print the description of a lung's bench (TOML), to edit and pass to --bench of other commands
-    #[arg(long, value_name = "LUNG", conflicts_with = "file")]
+    /// Print the description (TOML) of this bench, to edit and pass to --bench of other commands: a lung as in R20C20, or a TOML file
+    #[arg(long, value_name = "LUNG|FILE", conflicts_with = "file")]
     bench: Option<String>,
     #[command(flatten)]
     output: OutputArgs,
@@ -59,7 +60,7 @@ impl Command for Args {
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Outcome>> {
         if let Some(name) = &self.bench {
-            let bench = BenchConfig::from_name(name)?;
+            let bench = one(name)?;
             context.line(bench.to_toml().trim_end());
             return Ok(Some(Outcome::Bench(Box::new(bench))));
         }

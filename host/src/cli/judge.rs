@@ -3,22 +3,21 @@
 mod picture;
 mod tables;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::{Context as _, ensure};
 use serde::Serialize;
 
+use crate::args::map::{MapArgs, load};
 use crate::command::{Command, Context, Output, OutputArgs};
-use data::import::map::ColumnMap;
-use data::recording::Recording;
 use verdict::{Band, Judged, Kind, Limits, Verdict, judge};
 
-/// Judge recordings from any ventilator, breath by breath: rise, overshoot, oscillation, accuracy
+/// Judge recordings from any ventilator, breath by breath
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer judge first.parquet
-  trainer judge CT_AIR.csv NPV_AIR.csv --map respiraworks --figure sore-spots
+  trainer judge CT_AIR.csv NPV_AIR.csv --map respiraworks --plots sore-spots
   trainer judge measured.csv --map columns.toml --json verdict.json
   trainer judge first.parquet --accuracy 2,4 --overshoot 2     # fails if a breath violates a limit
 
@@ -34,18 +33,17 @@ pub struct Args {
     /// Recordings (Parquet) or, with --map, tables (CSV); each one is judged alone
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
-    /// Column map of the tables: respiraworks, kaggle or a TOML file, as for `trainer import`
-    #[arg(long, value_name = "NAME|FILE")]
-    map: Option<String>,
+    #[command(flatten)]
+    map: MapArgs,
     /// Judge the measured pressure even if the true one is recorded
     #[arg(long)]
     measured: bool,
     /// Number of sore spots of each file to print and draw
-    #[arg(long, value_name = "COUNT", default_value_t = 10)]
+    #[arg(long, value_name = "N", default_value_t = 10)]
     worst: usize,
     /// Draw each printed sore spot's breath into this folder (SVG): target, pressure, commands
-    #[arg(long, value_name = "FOLDER")]
-    figure: Option<PathBuf>,
+    #[arg(long, value_name = "DIR")]
+    plots: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
     // Last, because its heading applies to all options after it.
@@ -132,7 +130,7 @@ impl Command for Args {
     }
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
-        let map = self.map.as_deref().map(column_map).transpose()?;
+        let map = self.map.chosen()?;
         let limits = self.limits.limits();
         let judged = if self.measured { Judged::Measured } else { Judged::True };
         let mut files = Vec::new();
@@ -142,7 +140,7 @@ impl Command for Args {
             let verdict =
                 judge(&recording, judged, &limits).with_context(|| format!("cannot judge {name}"))?;
             tables::print(context, &name, &verdict, self.worst);
-            if let Some(folder) = &self.figure {
+            if let Some(folder) = &self.plots {
                 for path in picture::draw(folder, file, &recording, &verdict, self.worst)? {
                     context.saved(&path);
                 }
@@ -167,27 +165,4 @@ impl Command for Args {
 
 fn violating_breaths(files: &[FileVerdict]) -> usize {
     files.iter().map(|file| file.verdict.violating_breaths()).sum()
-}
-
-pub(super) fn column_map(name: &str) -> anyhow::Result<ColumnMap> {
-    Ok(match name {
-        "respiraworks" => ColumnMap::respiraworks()?,
-        "kaggle" => ColumnMap::kaggle()?,
-        file => ColumnMap::load(Path::new(file)).with_context(|| file.to_owned())?,
-    })
-}
-
-/// Reads a recording, or imports a table.
-pub(super) fn load(file: &Path, map: Option<&ColumnMap>, context: &Context<'_>) -> anyhow::Result<Recording> {
-    if file.extension().is_some_and(|extension| extension == "parquet") {
-        return Ok(Recording::load(file)?);
-    }
-    let Some(map) = map else {
-        bail!("{} is not a recording (.parquet): name its column map with --map", file.display());
-    };
-    let layout = map.layout()?;
-    let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
-    let out = folder.path().join("imported.parquet");
-    context.progress(|progress| data::import::import(&[file.to_owned()], &layout, &out, progress))?;
-    Ok(Recording::load(&out)?)
 }

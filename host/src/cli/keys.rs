@@ -24,8 +24,8 @@ The private key is written for its owner alone (mode 0600) and is never overwrit
 sign weights for every device with its public key; if it is lost, those devices need another
 firmware.")]
 pub struct Args {
-    /// Make a key pair: the private key in this file, the public key in FILE.pub
-    #[arg(long, value_name = "FILE", required_unless_present = "show")]
+    /// Make a key pair: the private key in this file, the public key in PATH.pub
+    #[arg(long, value_name = "PATH", required_unless_present = "show")]
     out: Option<PathBuf>,
     /// Show the public key of this private key
     #[arg(long, value_name = "FILE", conflicts_with = "out")]

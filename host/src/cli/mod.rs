@@ -20,7 +20,6 @@ mod inspect;
 mod judge;
 mod keys;
 mod monitor;
-mod pack;
 #[cfg(unix)]
 mod qemu;
 mod self_test;
@@ -34,11 +33,11 @@ mod tune_pid;
 use clap::Parser;
 
 use crate::args::controller::ControllerArgs;
-use crate::command::{Program, Runnable};
+use crate::command::{Program, Runnable, completions};
 
-/// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, pack.
+/// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, flash.
 #[derive(Debug, Parser)]
-#[command(name = "trainer", version, long_about = None, after_help = "\
+#[command(name = Self::NAME, version, long_about = None, after_help = "\
 Start with `cargo trainer demo`: it runs the whole pipeline on the virtual bench and shows the
 result. EUPNEA_LOG sets what is logged, as in EUPNEA_LOG=debug. Research software: never for use
 on a patient.")]
@@ -48,6 +47,12 @@ pub struct Cli {
 }
 
 impl Program for Cli {
+    const NAME: &'static str = "trainer";
+
+    fn groups() -> &'static [&'static str] {
+        Commands::GROUPS
+    }
+
     fn chosen(&self) -> &dyn Runnable {
         self.command.chosen()
     }
@@ -55,28 +60,38 @@ impl Program for Cli {
 
 commands! {
     enum Commands {
-        Demo(demo::Args),
-        Collect(collect::Args),
-        TunePid(tune_pid::Args),
-        Fit(fit::Args),
-        Train(train::Args),
-        TrainFamily(train_family::Args),
-        Commission(commission::Args),
-        Farm(farm::Args),
-        Evaluate(evaluate::Args<ControllerArgs>),
-        Pack(pack::Args),
-        Export(export::Args),
-        Keys(keys::Args),
-        Flash(flash::Args),
-        #[cfg(unix)]
-        Qemu(qemu::Args),
-        Inspect(inspect::Args),
-        Import(import::Args),
-        Judge(judge::Args),
-        Identify(identify::Args),
-        Monitor(monitor::Args),
-        Serve(serve::Args),
-        Selftest(self_test::Args),
-        Blackbox(blackbox::Args),
+        "Start" {
+            Demo(demo::Args),
+            Completions(completions::Args<Cli>),
+        }
+        "Learn" {
+            Collect(collect::Args),
+            TunePid(tune_pid::Args),
+            Fit(fit::Args),
+            Train(train::Args),
+            TrainFamily(train_family::Args),
+            Commission(commission::Args),
+            Farm(farm::Args),
+        }
+        "Judge" {
+            Evaluate(evaluate::Args<ControllerArgs>),
+            Judge(judge::Args),
+        }
+        "Data" {
+            Import(import::Args),
+            Export(export::Args),
+            Inspect(inspect::Args),
+        }
+        "Device" {
+            Identify(identify::Args),
+            Selftest(self_test::Args),
+            Flash(flash::Args),
+            Keys(keys::Args),
+            Monitor(monitor::Args),
+            Serve(serve::Args),
+            Blackbox(blackbox::Args),
+            #[cfg(unix)]
+            Qemu(qemu::Args),
+        }
     }
 }

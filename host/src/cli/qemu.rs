@@ -1,12 +1,14 @@
 //! `trainer qemu`: runs the virtual board and lets a client connect to it.
 
-use std::path::PathBuf;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::Duration;
 
 use anyhow::bail;
 
 use crate::args::bench::BenchArgs;
+use crate::args::listen::listen;
 use crate::command::{Command, Context};
 use emulator::{Emulator, EmulatorConfig, LockstepPlant, Paced};
 use plant::bench::BenchPlant;
@@ -16,46 +18,40 @@ const PERIOD: Duration = Duration::from_millis(1);
 /// Interval of the checks whether the board still runs.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Run the real firmware on a virtual board: QEMU with the virtual bench as its lung
+/// Run the real firmware in QEMU, with a virtual lung
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer qemu --listen 5555
-  trainer qemu --listen 5555 --lung R50C10 --folder board   (keeps the weights in flash)
+  trainer qemu --listen 5555 --bench R50C10 --folder board   (keeps the weights in flash)
   trainer monitor --port tcp:localhost:5555                (in another terminal)
 
 `cargo xtask firmware` builds the images, `cargo xtask setup` installs QEMU. Time runs as on a real
 board; with --fast it runs as fast as the host allows. Ctrl-C switches the board off.")]
 pub struct Args {
-    /// TCP port for the device's link; 0 picks a free port
-    #[arg(long, value_name = "PORT", default_value_t = 0)]
-    listen: u16,
+    /// Address at which the device's link listens; port 0 picks a free one
+    #[arg(long, value_name = "[IP:]PORT", value_parser = listen, default_value = "0")]
+    listen: SocketAddr,
     #[command(flatten)]
     bench: BenchArgs,
     /// Folder that keeps the board's flash between runs [default: flash erased at every start]
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
     /// Run as fast as possible, not in real time
     #[arg(long)]
     fast: bool,
-    #[command(flatten)]
-    images: ImageArgs,
-}
-
-/// The location of the firmware images.
-#[derive(Debug, clap::Args)]
-pub struct ImageArgs {
     /// Folder with the firmware images
-    #[arg(long, value_name = "FOLDER", default_value = "target/firmware")]
+    #[arg(long, value_name = "DIR", default_value = IMAGES)]
     images: PathBuf,
 }
 
-impl ImageArgs {
-    /// A board with hardware in the loop.
-    pub fn board(&self) -> EmulatorConfig {
-        let image = |name: &str| self.images.join(name);
-        EmulatorConfig { firmware: image("hil.elf"), shim: image("shim.elf"), ..EmulatorConfig::default() }
-    }
+/// Where `cargo xtask firmware` puts the images.
+pub const IMAGES: &str = "target/firmware";
+
+/// A board with hardware in the loop, with the firmware images in a folder.
+pub fn board(images: &Path) -> EmulatorConfig {
+    let image = |name: &str| images.join(name);
+    EmulatorConfig { firmware: image("hil.elf"), shim: image("shim.elf"), ..EmulatorConfig::default() }
 }
 
 impl Command for Args {
@@ -63,17 +59,18 @@ impl Command for Args {
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<()>> {
         let bench = self.bench.one()?;
-        let config = EmulatorConfig { folder: self.folder.clone(), link: self.listen, ..self.images.board() };
+        let config =
+            EmulatorConfig { folder: self.folder.clone(), link: Some(self.listen), ..board(&self.images) };
         let plant = LockstepPlant::new(BenchPlant::new(&bench)?);
-        let mut board = if self.fast {
+        let mut running = if self.fast {
             Emulator::start(config, plant)?
         } else {
             Emulator::start(config, Paced::new(plant, PERIOD))?
         };
-        println!("the board ventilates {}; connect to it with --port tcp:{}", bench.name, board.address());
+        println!("the board ventilates {}; connect to it with --port tcp:{}", bench.name, running.address());
         while !context.stopped() {
-            if let Some(status) = board.exit_status()? {
-                bail!("QEMU ended with {status}: {}", board.log());
+            if let Some(status) = running.exit_status()? {
+                bail!("QEMU ended with {status}: {}", running.log());
             }
             sleep(LOOK);
         }

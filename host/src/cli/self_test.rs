@@ -9,33 +9,48 @@ use device::Device;
 use device::port::Address;
 use show::report::{Cell, Table};
 
-/// Show the results of a device's self-test, and run its checks on request
+/// Show the results of a device's self-test, and run its checks
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer selftest --port /dev/ttyACM0
-  trainer selftest --port /dev/ttyACM0 --zero
-  trainer selftest --port tcp:localhost:5555 --circuit --json -
+  trainer selftest --port /dev/ttyACM0 --run zero
+  trainer selftest --port tcp:localhost:5555 --run circuit --json -
 
-A device tests its program, weights, memory and sensors at each start. The checks given as flags
-run in standby, in the order above; two of them move the valves, so never run them with a patient
-at the machine. A step that fails prevents ventilation from starting; the exit code is then 1.
-Repeat a check to clear its failure.")]
+A device tests its program, weights, memory and sensors at each start. These checks run in standby,
+on request:
+  zero     zeroes the pressure sensors: open the circuit to the air first
+  circuit  checks valves, leak and compliance, with a test lung at the patient port
+  relief   checks the relief valve (up to 85 cmH2O): close the patient port first
+
+The last two move the valves, so never run them with a patient at the machine. A step that fails prevents ventilation from starting; the exit code is then 1. Repeat a check to clear its failure.")]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     port: Address,
-    /// Zero the pressure sensors: open the circuit to the air first
-    #[arg(long)]
-    zero: bool,
-    /// Check valves, leak and compliance with a test lung at the patient port
-    #[arg(long)]
-    circuit: bool,
-    /// Check the relief valve (up to 85 cmH2O): close the patient port first
-    #[arg(long, conflicts_with = "circuit")]
-    relief: bool,
+    /// Run this check first: `zero`, `circuit` or `relief`, which each need their own preparation of the circuit
+    #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
+    run: Option<CheckName>,
     #[command(flatten)]
     output: OutputArgs,
+}
+
+/// The checks by name.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum CheckName {
+    Zero,
+    Circuit,
+    Relief,
+}
+
+impl From<CheckName> for Check {
+    fn from(name: CheckName) -> Self {
+        match name {
+            CheckName::Zero => Self::Zero,
+            CheckName::Circuit => Self::Circuit,
+            CheckName::Relief => Self::Relief,
+        }
+    }
 }
 
 /// A row of `--json`.
@@ -81,11 +96,8 @@ impl Command for Args {
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Vec<Row>>> {
         let mut device = Device::connect(&self.port)?;
         device.identify()?;
-        let checks = [(self.zero, Check::Zero), (self.circuit, Check::Circuit), (self.relief, Check::Relief)];
-        for (_, check) in checks.into_iter().filter(|(wanted, _)| *wanted) {
-            if !context.stopped() {
-                device.run_check(check)?;
-            }
+        if let Some(check) = self.run {
+            device.run_check(check.into())?;
         }
         let rows = rows(&device.self_test()?);
         context.table(&table(&rows));

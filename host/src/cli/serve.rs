@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::Duration;
 
-use anyhow::Context as _;
+use anyhow::ensure;
 
-use super::judge::{column_map, load};
+use crate::args::listen::listen;
+use crate::args::map::{MapArgs, load};
 use crate::args::port::warn_of_development_build;
 use crate::command::{Command, Context};
 use bedside::demo;
@@ -17,7 +18,7 @@ use bedside::source::Watch;
 use device::port::Address;
 use plant::bench::BenchConfig;
 
-/// Show devices in a browser: live waveforms, figures, alarms; steer them with --steer
+/// Show devices in a browser: waveforms, figures, alarms, steering
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -25,7 +26,7 @@ Examples:
   trainer serve --port /dev/ttyACM0
   trainer serve --port tcp:localhost:5555 --port /dev/ttyACM1 --steer
   trainer serve --bench R20C20 --steer
-  trainer serve --recording night.parquet --blackbox fault.json
+  trainer serve --recording night.parquet --recording fault.json
 
 Open the address that the command prints. The page shows every device at 1 kHz and never asks
 another server for anything. Ctrl-C ends the server; devices at a port keep running, simulated
@@ -39,26 +40,23 @@ pub struct Args {
     /// A device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT; repeat it for more devices
     #[arg(long, value_name = "PORT")]
     port: Vec<Address>,
-    /// A simulated device on this bench: a lung as in R20C20, or a description in TOML; repeat it for more devices
-    #[arg(long, value_name = "FILE|LUNG")]
+    /// A simulated device on this bench: a lung as in R20C20, or a TOML file; repeat it for more devices
+    #[arg(long, value_name = "LUNG|FILE")]
     bench: Vec<String>,
-    /// Replay a recording (*.parquet) or, with --map, a table, in the time in which it was recorded; repeat it for more
+    /// Replay a recording (*.parquet), a flight recorder that `trainer blackbox --out FILE.json` has written or, with --map, a table,
+    /// in the time in which it was recorded; repeat it for more
     #[arg(long, value_name = "FILE")]
     recording: Vec<PathBuf>,
-    /// Column map of the tables: respiraworks, kaggle or a file in TOML
-    #[arg(long, value_name = "NAME|FILE", requires = "recording")]
-    map: Option<String>,
-    /// Replay a flight recorder that `trainer blackbox --out FILE.json` has written; repeat it for more
-    #[arg(long, value_name = "FILE.json")]
-    blackbox: Vec<PathBuf>,
+    #[command(flatten)]
+    map: MapArgs,
     /// Show the nine lungs of the paper, each with a PID and beside it with the shipped learned controller, with buttons that inject faults
-    #[arg(long, conflicts_with_all = ["port", "bench", "recording", "blackbox"])]
+    #[arg(long, conflicts_with_all = ["port", "bench", "recording"])]
     demo: bool,
     /// Address at which the server listens
-    #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:8080")]
+    #[arg(long, value_name = "[IP:]PORT", value_parser = listen, default_value = "8080")]
     listen: SocketAddr,
     /// Folder into which pages with the token record
-    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    #[arg(long, value_name = "DIR", default_value = ".")]
     records: PathBuf,
     /// Allow the page with the printed token to start, stop and set the devices
     #[arg(long)]
@@ -121,27 +119,25 @@ fn watches(args: &Args, context: &Context<'_>) -> anyhow::Result<Vec<Watch>> {
             watches.push(Watch::bench(title, &bench)?);
         }
     }
-    let map = args.map.as_deref().map(column_map).transpose()?;
+    let map = args.map.chosen()?;
+    ensure!(map.is_none() || !args.recording.is_empty(), "--map is for tables: name one with --recording");
     for path in &args.recording {
-        watches.push(replay::recording(&path.display().to_string(), &load(path, map.as_ref(), context)?)?);
-    }
-    for path in &args.blackbox {
-        watches.extend(replay::blackbox(path)?);
+        if path.extension().is_some_and(|ending| ending == "json") {
+            watches.extend(replay::blackbox(path)?);
+        } else {
+            let recording = load(path, map.as_ref(), context)?;
+            watches.push(replay::recording(&path.display().to_string(), &recording)?);
+        }
     }
     Ok(watches)
 }
 
 /// The benches of a file or of a lung's name, each with its title.
 fn benches(name: &str) -> anyhow::Result<Vec<(String, BenchConfig)>> {
-    let path = Path::new(name);
-    if path.is_file() {
-        let bench = BenchConfig::load(path)?;
-        let title = path.file_stem().map_or_else(|| name.to_owned(), |stem| stem.display().to_string());
-        return Ok(vec![(title, bench)]);
-    }
-    let benches = BenchConfig::preset(name)
-        .with_context(|| format!("{name} is neither a file nor a lung: write a lung as in R20C20"))?;
+    let benches = BenchConfig::find(name)?;
     let several = benches.len() > 1;
-    let title = |number: usize| if several { format!("{name} {}", number + 1) } else { name.to_owned() };
+    let stem = BenchConfig::file(name).and_then(Path::file_stem);
+    let name = stem.map_or_else(|| name.to_owned(), |stem| stem.display().to_string());
+    let title = |number: usize| if several { format!("{name} {}", number + 1) } else { name.clone() };
     Ok(benches.into_iter().enumerate().map(|(number, bench)| (title(number), bench)).collect())
 }

@@ -32,7 +32,7 @@ fn a_command_says_what_it_makes() {
         ("tune-pid", Makes::Experiment),
         ("tune-pid --shard 1/2 --out a", Makes::Shard),
         ("evaluate", Makes::Experiment),
-        ("fit --data a", Makes::Experiment),
+        ("fit a", Makes::Experiment),
         ("collect --out a.parquet --json b.json", Makes::Nothing),
         ("inspect a.bin --json b.json", Makes::Nothing),
     ] {
@@ -63,7 +63,7 @@ fn wrong_arguments_and_failures_are_told_apart() {
         let error = called(line).unwrap_err();
         assert!(matches!(&error, CallError::Usage(text) if !text.contains("Usage")), "{error}");
     }
-    let error = called("evaluate --weights /nowhere.bin").unwrap_err();
+    let error = called("evaluate --controller /nowhere.bin").unwrap_err();
     assert!(matches!(error, CallError::Failed(_)), "{error}");
 }
 
@@ -120,9 +120,19 @@ fn a_verdict_with_a_status_of_its_own_is_an_outcome_and_another_one_an_error() {
     called(&format!("collect --breaths 6 --out {file}")).unwrap();
     let verdict = called(&format!("judge {file} --overshoot 0")).unwrap();
     assert_eq!(verdict["pass"], false);
-    let limits = "--gains 10,400 --aborts 0 --pressure-limit 36 --pips 35 --pip-range 34:35";
+    let limits = "--gains 10,400 --aborts 0 --settings pressure_limit=36 --pips 35 --pip-range 34:35";
     let refused = called(&format!("collect --breaths 6 {limits} --out {file}"));
     assert!(matches!(&refused, Err(CallError::Failed(_))), "{refused:?}");
+}
+
+#[test]
+fn settings_are_named_values() {
+    let scored = |settings: &str| called(&format!("evaluate --pips 20 --breaths 1{settings}"));
+    let (usual, other) = (scored("").unwrap(), scored(" --settings peep=8,rate=15").unwrap());
+    assert_eq!(usual["lung"], other["lung"]);
+    assert_ne!(usual["mean"]["pid"]["score"], other["mean"]["pid"]["score"]);
+    let unknown = scored(" --settings peeep=8").unwrap_err();
+    assert!(matches!(&unknown, CallError::Usage(text) if text.contains("choose from peep")), "{unknown}");
 }
 
 #[test]
@@ -131,7 +141,7 @@ fn help_and_options_are_those_of_the_command_line() {
     assert!(help::<Cli>("nonsense").is_none() && options::<Cli>("nonsense").is_none());
     let repeated = |command: &str, option: &str| options::<Cli>(command).unwrap().get(option).copied();
     assert_eq!(repeated("evaluate", "breaths-of-learning"), Some(false));
-    assert_eq!(repeated("fit", "data"), Some(true));
+    assert_eq!(repeated("fit", "hold-out-lung"), Some(true));
     assert_eq!((repeated("evaluate", "pips"), repeated("evaluate", "gains")), (Some(false), Some(false)));
     assert_eq!(repeated("evaluate", "gain"), None);
 }

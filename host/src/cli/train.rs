@@ -29,23 +29,23 @@ use learn::simulator::model::Simulator;
 use show::report::{Cell, Table};
 use ventilator::SharedLink;
 
-/// Train a residual through learned simulators, for one lung or for many
+/// Train a residual through learned simulators of one or many lungs
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer train --out out/train
-  trainer train --lung R50C10 --gains 0.5,5 --rounds 4 --out out/stiff
+  trainer train --bench R50C10 --gains 0.5,5 --rounds 4 --out out/stiff
   trainer train --breathing --gains 7.2,253,0.13 --out out/breathing
   trainer train --plant tcp:localhost:7000 --gains 2,30 --out out/mine
   trainer train --preset paper-30ms --out out/paper
-  trainer train --lung paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
+  trainer train --bench paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
   trainer train --simulator a.safetensors b.safetensors --gains 6.5,265,0.13 --out out/from-files
   trainer train --controller-architecture authors --gains 6.5,265,0.13 --out out/authors
 
 Without --simulator the command records on the bench, fits and trains, round after round. With it,
 the command trains once; the last of several simulators is held out and judges the controller.
 Ctrl-C stops training; the same command continues where it stopped. With --key, the command also
-writes the signed weights image, DIR/weights.bin.
+writes the signed weights image, PATH/weights.bin.
 
 With --breathing, an effort of up to 12 cmH2O pulls on the simulated pressure in two of five
 inspirations. Most have begun shortly before the breath; the others begin at any time.
@@ -56,20 +56,20 @@ ours.
 
 --controller-architecture authors trains their network in the place of ours: running averages of the
 last ten errors, a convolution, a rectifier and one output, which lambda scales. It sees nothing
-else. Such a controller runs on the host only: evaluate, robust and margins
-accept its file, pack refuses it.")]
+else. Such a controller runs on the host only: `trainer evaluate`, `lab robust` and `lab margins`
+accept its file, and no weights image holds it.")]
 pub struct Args {
     #[command(flatten)]
     bench: BenchArgs,
     #[command(flatten)]
     plant: PlantArgs,
     /// Train on these simulators, written by `trainer fit`, instead of recording
-    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["lung", "bench", "plant"])]
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["bench", "plant"])]
     simulator: Vec<PathBuf>,
     /// Use third-party settings for all options that are not given: paper-30ms is those of the paper's authors
     #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
     preset: Option<Preset>,
-    /// Gains P,I,D of the PID that records first and lies under the residual [default: 3,30,0, or those of the preset]
+    /// Gains P,I,D of the PID that records first and lies under the residual, percent of the valve per cmH2O, cmH2O s and cmH2O/s [default: 3,30,0, or those of the preset]
     #[arg(long, value_name = "P,I,D", value_parser = gains)]
     gains: Option<PidGains>,
     /// Network that computes the residual: `ours`, or `authors`, that of the paper's authors, which no device runs
@@ -80,7 +80,7 @@ pub struct Args {
     #[arg(long, value_name = "US", value_parser = clap::value_parser!(u32).range(1..=i64::from(ERROR_SPACING_MAX_US)))]
     error_spacing_us: Option<u32>,
     /// Scale of the residual, 0 to 1
-    #[arg(long, value_name = "L", default_value_t = PipelineConfig::default().lambda)]
+    #[arg(long, value_name = "SHARE", default_value_t = PipelineConfig::default().lambda)]
     lambda: f32,
     /// Largest residual, percent of the valve
     #[arg(long, value_name = "PERCENT", default_value_t = PipelineConfig::default().authority)]
@@ -104,17 +104,17 @@ pub struct Args {
     #[arg(long, value_name = "RATE", default_value_t = TrainConfig::default().adam.rate)]
     learning_rate: f32,
     /// Weight decay
-    #[arg(long, value_name = "D", default_value_t = TrainConfig::default().adam.weight_decay)]
+    #[arg(long, value_name = "RATE", default_value_t = TrainConfig::default().adam.weight_decay)]
     weight_decay: f32,
     /// With several lungs: weight the worst score more than the mean; temperature of the softmax over the lungs'
     /// scores, cmH2O
-    #[arg(long, value_name = "T", value_parser = temperature)]
+    #[arg(long, value_name = "CMH2O", value_parser = temperature)]
     softmax: Option<f64>,
     /// Number of simulators per lung to train on; one more is held out
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().ensemble)]
     ensemble: usize,
     /// Factor on errors above the target
-    #[arg(long, value_name = "F", default_value_t = TrainConfig::default().overshoot_weight)]
+    #[arg(long, value_name = "FACTOR", default_value_t = TrainConfig::default().overshoot_weight)]
     overshoot_weight: f32,
     /// PIPs of the waveforms in every batch, in addition to random PIPs, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
@@ -173,7 +173,7 @@ impl Summary {
 #[derive(Debug, clap::Args)]
 pub struct ResultArgs {
     /// Folder for the controller (controller.safetensors) and the state needed to continue
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
@@ -439,7 +439,7 @@ mod tests {
         let train = |arguments: &[&str]| config(arguments).unwrap().train;
         assert_eq!(train(&["--breathing"]), TrainConfig::breathing());
         assert_eq!((train(&["--breathing"]).iterations, train(&[]).efforts), (1200, None));
-        let typed = train(&["--breathing", "--iterations", "9", "--peep", "7"]);
+        let typed = train(&["--breathing", "--iterations", "9", "--settings", "peep=7"]);
         assert_eq!((typed.iterations, typed.peep.to_bits()), (9, 7.0_f32.to_bits()));
         assert_eq!(typed.efforts, TrainConfig::breathing().efforts);
     }
@@ -477,7 +477,8 @@ mod tests {
 
     #[test]
     fn what_is_typed_beside_a_preset_has_precedence_and_another_period_is_refused() {
-        let config = config(&["--preset", "paper-30ms", "--gains", "1,9", "--peep", "7", "--epochs", "3"]);
+        let config =
+            config(&["--preset", "paper-30ms", "--gains", "1,9", "--settings", "peep=7", "--epochs", "3"]);
         let config = config.unwrap();
         assert_eq!((config.gains, config.fit.epochs), (PidGains { p: 1.0, i: 9.0, d: 0.0 }, 3));
         assert_eq!((config.collect.settings.peep, config.train.peep), (7.0, 7.0));

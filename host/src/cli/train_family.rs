@@ -9,7 +9,7 @@ use data::workspace::Workspace;
 use learn::pipeline::family::FamilyRun;
 use plant::bench::family::Family;
 
-/// Train one controller, which learns from breath to breath, for a whole family of units
+/// Train one controller for a whole family of units
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -29,10 +29,11 @@ pub struct Args {
     /// Units to record and train on; a quarter as many validate
     #[arg(long, value_name = "N", default_value_t = FamilyRun::default().units, value_parser = clap::value_parser!(u32).range(4..))]
     units: u32,
-    /// Gains P,I,D of the PID that records
+    /// Gains P,I,D of the PID that records, percent of the valve per cmH2O, cmH2O s and cmH2O/s
     #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&FamilyRun::default().collector))]
     collector: PidGains,
-    /// Gains P,I,D of the PID under the residual: soft, because it must suit every unit [default: the family's soft PID or, if it has none, that of adults]
+    /// Gains P,I,D of the PID under the residual, percent of the valve per cmH2O, cmH2O s and cmH2O/s; soft, because it must suit every unit
+    /// [default: the family's soft PID or, if it has none, that of adults]
     #[arg(long, value_name = "P,I,D", value_parser = gains)]
     gains: Option<PidGains>,
     /// Gradient steps

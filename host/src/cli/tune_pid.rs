@@ -8,7 +8,7 @@ use shared::breath::PAPER_PIPS;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use crate::args::bench::benches;
+use crate::args::bench::BenchesArgs;
 use crate::args::gains::format_gains;
 use crate::args::plant::{PlantArgs, period_us};
 use crate::args::settings::SettingsArgs;
@@ -23,16 +23,16 @@ use score::evaluate::{Ground, Plan, SourceGround};
 use show::report::{Block, Cell, HeatMap, Report, Section, Table};
 use ventilator::PlantSource;
 
-/// Search for the best P, I, PI and PID controllers for one or several lungs
+/// Search for the best P, I, PI and PID controllers for lungs
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer tune-pid --lung R20C20
-  trainer tune-pid --lung R5C50 --lung R50C10 --report tuned.html
-  trainer tune-pid --lung paper --authors-grid --json tuned.json
-  trainer tune-pid --plant tcp:localhost:7000 --coarse
-  trainer tune-pid --lung paper --shard 3/9 --out out/pids   # each task, then:
-  trainer tune-pid --lung paper --merge --out out/pids
+  trainer tune-pid --bench R20C20
+  trainer tune-pid --bench R5C50 --bench R50C10 --report tuned.html
+  trainer tune-pid --bench paper --grid authors --json tuned.json
+  trainer tune-pid --plant tcp:localhost:7000 --grid coarse
+  trainer tune-pid --bench paper --shard 3/9 --out out/pids   # each task, then:
+  trainer tune-pid --bench paper --merge --out out/pids
 
 Gains are P in percent per cmH2O, I in percent per cmH2O and second, D in percent per cmH2O/s.
 Ctrl-C ends the search with the best gains found so far.
@@ -40,23 +40,14 @@ Ctrl-C ends the search with the best gains found so far.
 A shard searches some of the lungs, and keeps those that are complete after Ctrl-C. The merge adds
 the search for the best PID over all lungs.")]
 pub struct Args {
-    /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
-    #[arg(long, value_name = "NAME", default_value = "R20C20")]
-    lung: Vec<String>,
-    /// Bench description in TOML, in place of a lung; repeatable
-    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with = "lung")]
-    bench: Vec<PathBuf>,
+    #[command(flatten)]
+    benches: BenchesArgs,
     #[command(flatten)]
     plant: PlantArgs,
-    /// Search an eighth of the grid's points over the same range, for a slow plant
-    #[arg(long, conflicts_with = "authors_grid")]
-    coarse: bool,
-    /// Run every point of the grid in full, without screening
-    #[arg(long)]
-    exhaustive: bool,
-    /// Search only the grid of the paper's authors
-    #[arg(long)]
-    authors_grid: bool,
+    /// Points to search: `fine`, screened on few breaths first; `coarse`, an eighth of them over the same range, for a slow plant;
+    /// `exhaustive`, the fine ones in full, without screening; or `authors`, the grid of the paper's authors
+    #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true, default_value_t = GridName::Fine)]
+    grid: GridName,
     /// PIPs of the waveforms, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
@@ -78,6 +69,15 @@ pub struct Args {
     shards: ShardFolderArgs,
     #[command(flatten)]
     output: OutputArgs,
+}
+
+/// The grids by name.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum GridName {
+    Fine,
+    Coarse,
+    Exhaustive,
+    Authors,
 }
 
 /// The content of `--json`.
@@ -116,7 +116,7 @@ impl Command for Args {
             let source = PlantSource::new(link, idle, plan.period_us, self.seed);
             return tune(self, &[SourceGround::new(source)], "", (search, plan), context).map(Some);
         }
-        let benches = benches(&self.lung, &self.bench)?;
+        let benches = self.benches.benches()?;
         if let Some((out, shards)) = self.shards.folder() {
             return divided(self, shards, out, &PidSearch { lungs: benches, search, plan }, context);
         }
@@ -173,12 +173,12 @@ fn show(
 }
 
 fn search(args: &Args) -> Search {
-    let search = match (args.authors_grid, args.coarse) {
-        (true, _) => Search::authors(),
-        (false, true) => Search { grid: Grid::coarse(), ..Search::default() },
-        (false, false) => Search::default(),
-    };
-    Search { exhaustive: search.exhaustive || args.exhaustive, ..search }
+    match args.grid {
+        GridName::Fine => Search::default(),
+        GridName::Coarse => Search { grid: Grid::coarse(), ..Search::default() },
+        GridName::Exhaustive => Search { exhaustive: true, ..Search::default() },
+        GridName::Authors => Search::authors(),
+    }
 }
 
 fn table(result: &TuneResult) -> Table {

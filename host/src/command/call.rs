@@ -36,7 +36,7 @@ pub fn call<P: Program>(
     observer: &Observer<'_>,
     stop: &AtomicBool,
 ) -> Result<String, CallError> {
-    let name = OsString::from(P::command().get_name());
+    let name = OsString::from(P::NAME);
     let line = std::iter::once(name).chain(arguments.iter().cloned());
     let matches = P::command().try_get_matches_from(line).map_err(|error| usage(&error))?;
     let program = P::from_arg_matches(&matches).map_err(|error| usage(&error))?;

@@ -5,7 +5,9 @@
 
 mod bars;
 pub mod call;
+pub mod completions;
 mod context;
+mod help;
 mod output;
 mod program;
 mod record;
@@ -48,20 +50,25 @@ pub trait Command {
     }
 }
 
-/// Declares the commands of a program as a subcommand of clap, one command a line.
+/// Declares the commands of a program as a subcommand of clap, one command a line, in the groups in which the help lists them.
 #[macro_export]
 macro_rules! commands {
     (
         $(#[$attribute:meta])*
-        $visibility:vis enum $commands:ident { $($(#[$condition:meta])* $name:ident($arguments:ty),)* }
+        $visibility:vis enum $commands:ident {
+            $($group:literal { $($(#[$condition:meta])* $name:ident($arguments:ty),)* })*
+        }
     ) => {
         $(#[$attribute])*
         #[derive(Debug, clap::Subcommand)]
-        $visibility enum $commands { $($(#[$condition])* $name($arguments),)* }
+        $visibility enum $commands { $($($(#[$condition])* $name($arguments),)*)* }
 
         impl $commands {
+            /// The group of each command, in their order.
+            const GROUPS: &'static [&'static str] = &[$($($(#[$condition])* $group,)*)*];
+
             fn chosen(&self) -> &dyn $crate::command::Runnable {
-                match self { $($(#[$condition])* Self::$name(arguments) => arguments,)* }
+                match self { $($($(#[$condition])* Self::$name(arguments) => arguments,)*)* }
             }
         }
     };

@@ -1,5 +1,6 @@
 //! A program of several commands: runs the one that its arguments choose.
 
+use std::fmt::Debug;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
+use super::help::grouped;
 use super::output::{Output, write_json};
 use super::record::{Kept, Place, options};
 use super::{Command, Context, FAILURE, Observer};
@@ -23,7 +25,13 @@ const LOG_VARIABLE: &str = "EUPNEA_LOG";
 const INTERRUPTED: u8 = 130;
 
 /// A program of several commands.
-pub trait Program: Parser {
+pub trait Program: Parser + Debug {
+    /// Its name.
+    const NAME: &'static str;
+
+    /// The group of each command in the help, in the order of the commands.
+    fn groups() -> &'static [&'static str];
+
     /// The command that the arguments choose.
     fn chosen(&self) -> &dyn Runnable;
 }
@@ -98,7 +106,7 @@ impl Done {
 pub fn main<P: Program>() -> ExitCode {
     log_to_standard_error();
     let stop = stop_at_ctrl_c();
-    let matches = P::command().get_matches();
+    let matches = grouped(P::command(), P::groups()).get_matches();
     let program =
         P::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut P::command()).exit());
     match run(&program, &matches, &stop, None).failure {

@@ -4,23 +4,34 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use campaign::record::{Ending, MADE_BY, Options, Record, Results, Running};
-use clap::{ArgMatches, Command};
+use clap::{Arg, ArgMatches, Command};
 
 use super::output::{JSON, Makes, Output};
 
-/// The options of the chosen command of a program with their values, defaults included.
+/// The options of the chosen command of a program with their values, defaults included. Values that are a name with a value, as in
+/// `--settings peep=8,rate=15`, count as options of their own, so that runs can be compared and plotted by them.
 pub fn options(program: &Command, matches: &ArgMatches) -> Options {
     let Some((name, matches)) = matches.subcommand() else { return Options::default() };
     let Some(command) = program.find_subcommand(name) else { return Options::default() };
-    let value = |id: &str| {
-        let values = matches.try_get_raw(id).ok().flatten()?;
-        Some(values.map(|value| value.to_string_lossy()).collect::<Vec<_>>().join(" "))
-    };
-    let option = |argument: &clap::Arg| {
-        let name = argument.get_long().unwrap_or(argument.get_id().as_str());
-        Some((name.to_owned(), value(argument.get_id().as_str())?))
-    };
-    command.get_arguments().filter_map(option).collect()
+    command.get_arguments().flat_map(|argument| named(argument, matches)).collect()
+}
+
+/// An option with its values, or the named values of one that takes such.
+fn named(argument: &Arg, matches: &ArgMatches) -> Vec<(String, String)> {
+    let Ok(Some(raw)) = matches.try_get_raw(argument.get_id().as_str()) else { return Vec::new() };
+    let values: Vec<String> = raw.map(|value| value.to_string_lossy().into_owned()).collect();
+    let name = argument.get_long().unwrap_or(argument.get_id().as_str()).to_owned();
+    match values.iter().map(|value| pair(value)).collect::<Option<Vec<_>>>() {
+        Some(pairs) if !pairs.is_empty() => pairs,
+        _ => vec![(name, values.join(" "))],
+    }
+}
+
+/// The name and the value of `NAME=VALUE`.
+fn pair(text: &str) -> Option<(String, String)> {
+    let (name, value) = text.split_once('=')?;
+    let is_name = name.bytes().all(|letter| letter.is_ascii_lowercase() || letter == b'_');
+    is_name.then(|| (name.to_owned(), value.to_owned()))
 }
 
 /// Where a record belongs.
@@ -143,14 +154,19 @@ mod tests {
             option("out"),
             option("seed").default_value("1"),
             option("pips").value_delimiter(','),
+            option("settings").value_delimiter(','),
+            option("plant"),
             option("breathing").action(clap::ArgAction::SetTrue),
             option("gains"),
         ]);
         let program = Command::new("trainer").subcommand(train);
-        let line = ["trainer", "train", "--out", "a", "--pips", "15,20"];
+        let typed = ["--out", "a", "--pips", "15,20", "--settings", "peep=8,rate=15", "--plant", "pipe:a=b"];
+        let line = ["trainer", "train"].into_iter().chain(typed);
         let options = options(&program, &program.clone().get_matches_from(line));
         let value = |name: &str| options.get(name).map(String::as_str);
         assert_eq!((value("out"), value("seed"), value("pips")), (Some("a"), Some("1"), Some("15 20")));
         assert_eq!((value("breathing"), value("gains")), (Some("false"), None));
+        assert_eq!((value("peep"), value("rate"), value("settings")), (Some("8"), Some("15"), None));
+        assert_eq!(value("plant"), Some("pipe:a=b"));
     }
 }

@@ -15,11 +15,11 @@ use super::support::Place;
 #[test]
 fn a_missing_file() {
     let place = Place::new();
-    assert!(place.refused("fit --data absent.parquet --out a.safetensors").contains("absent.parquet"));
+    assert!(place.refused("fit absent.parquet --out a.safetensors").contains("absent.parquet"));
     assert!(place.refused("inspect absent.bin").contains("absent.bin"));
-    assert!(place.refused("pack absent.safetensors --out a.bin").contains("absent.safetensors"));
+    assert!(place.refused("export absent.safetensors --out a.bin").contains("absent.safetensors"));
     assert!(place.refused("evaluate --bench absent.toml").contains("absent.toml"));
-    assert!(place.refused("import respiraworks absent.csv --out a.parquet").contains("absent.csv"));
+    assert!(place.refused("import absent.csv --map respiraworks --out a.parquet").contains("absent.csv"));
 }
 
 #[test]
@@ -28,7 +28,7 @@ fn a_torn_recording() {
     let path = place.path(place.collected());
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-    assert!(place.refused("fit --data first.parquet --out a.safetensors").contains("incomplete or damaged"));
+    assert!(place.refused("fit first.parquet --out a.safetensors").contains("incomplete or damaged"));
     assert!(place.refused("inspect first.parquet").contains("incomplete or damaged"));
     assert!(!place.path("a.safetensors").exists());
 }
@@ -36,7 +36,7 @@ fn a_torn_recording() {
 #[test]
 fn a_weights_image_with_a_flipped_bit() {
     let place = Place::new();
-    place.ok(&format!("pack {} --out weights.bin", place.controller()));
+    place.ok(&format!("export {} --out weights.bin", place.controller()));
     let path = place.path("weights.bin");
     let good = fs::read(&path).unwrap();
     for (byte, bit) in [(0, 1), (21, 3), (good.len() / 2, 6), (good.len() - 1, 0)] {
@@ -44,7 +44,7 @@ fn a_weights_image_with_a_flipped_bit() {
         bytes[byte] ^= 1 << bit;
         fs::write(&path, bytes).unwrap();
         assert!(place.refused("inspect weights.bin").contains("weights.bin"));
-        assert!(place.refused("evaluate --weights weights.bin").contains("weights.bin"));
+        assert!(place.refused("evaluate --controller weights.bin").contains("weights.bin"));
     }
 }
 
@@ -87,7 +87,7 @@ fn spoil(path: &Path) {
 fn a_pressure_that_is_no_number() {
     let place = Place::new();
     spoil(&place.path(place.collected()));
-    let refused = place.refused("fit --data first.parquet --out a.safetensors");
+    let refused = place.refused("fit first.parquet --out a.safetensors");
     assert!(refused.contains("`pressure` is NaN in row 17"), "{refused}");
     assert!(!place.path("a.safetensors").exists());
 }
@@ -95,13 +95,17 @@ fn a_pressure_that_is_no_number() {
 #[test]
 fn settings_that_cannot_be() {
     let place = Place::new();
-    assert!(place.refused("collect --out a.parquet --peep 30 --pips 10").contains("peep is 30 cmH2O"));
-    assert!(place.refused("collect --out a.parquet --peep 15 --pips 10").contains("above PEEP"));
-    assert!(place.refused("evaluate --pips 30 --pressure-limit 32").contains("pressure limit"));
-    assert!(place.refused("tune-pid --rate 60 --inspiratory-time 2").contains("lower the rate"));
+    assert!(
+        place.refused("collect --out a.parquet --settings peep=30 --pips 10").contains("peep is 30 cmH2O")
+    );
+    assert!(place.refused("collect --out a.parquet --settings peep=15 --pips 10").contains("above PEEP"));
+    assert!(place.refused("evaluate --pips 30 --settings pressure_limit=32").contains("pressure limit"));
+    assert!(place.refused("tune-pid --settings rate=60,inspiratory_time=2").contains("lower the rate"));
     assert!(place.refused("collect --out a.parquet --period-us 1500").contains("1500 us"));
     assert!(
-        place.refused("collect --out a.parquet --boundary-probability 2").contains("boundary_probability")
+        place
+            .refused("collect --out a.parquet --exploration boundary_probability=2")
+            .contains("boundary_probability")
     );
     assert!(place.refused("evaluate --gains 200,1").contains("gain p is 200"));
     assert!(!place.path("a.parquet").exists());
@@ -110,8 +114,8 @@ fn settings_that_cannot_be() {
 #[test]
 fn an_unknown_lung() {
     let place = Place::new();
-    assert!(place.refused("collect --out a.parquet --lung Bob").contains("R20C20"));
-    assert!(place.refused("evaluate --lung paper").contains("9 lungs"));
+    assert!(place.refused("collect --out a.parquet --bench Bob").contains("R20C20"));
+    assert!(place.refused("evaluate --bench paper").contains("9 lungs"));
     assert!(place.refused("inspect --bench Bob").contains("Bob"));
 }
 
@@ -120,20 +124,18 @@ fn files_of_another_kind() {
     let place = Place::new();
     let data = place.collected();
     place.controller();
-    assert!(
-        place.refused("fit --data controller.safetensors --out a.safetensors").contains("not a Parquet file")
-    );
-    assert!(place.refused(&format!("pack {data} --out a.bin")).contains("is not a valid controller"));
+    assert!(place.refused("fit controller.safetensors --out a.safetensors").contains("not a Parquet file"));
+    assert!(place.refused(&format!("export {data} --out a.bin")).contains("is not a valid controller"));
     fs::write(place.path("notes.txt"), "a note").unwrap();
     assert!(place.refused("inspect notes.txt").contains("notes.txt"));
-    let stitched = "fit --data first.parquet --out a.safetensors --architecture stitched";
+    let stitched = "fit first.parquet --out a.safetensors --architecture stitched";
     assert!(place.refused(stitched).contains("--period-us 30000"));
-    assert!(place.refused("fit --data first.parquet --out a.safetensors --hold-out 50").contains("too few"));
+    assert!(place.refused("fit first.parquet --out a.safetensors --hold-out 50").contains("too few"));
 }
 
 #[test]
 fn a_waveform_that_training_does_not_know() {
     let place = Place::new();
-    assert!(place.refused("train --out run --rise-time 0.2").contains("--rise-time"));
+    assert!(place.refused("train --out run --settings rise_time=0.2").contains("rise_time"));
     assert!(!place.path("run").exists());
 }

@@ -25,7 +25,7 @@ fn a_fault_is_read_drawn_and_cleared() {
     let name = bedside.name();
 
     let place = Place::new();
-    let json = place.json(&format!("blackbox --port {name} --out ticks.csv --html page.html"));
+    let json = place.json(&format!("blackbox --port {name} --out ticks.csv --report page.html"));
     assert_eq!(json["status"]["recording"]["Fault"], "SustainedPressure");
     assert!(
         json["fast"]["entries"].as_array().unwrap().len() > FAST_TAIL as usize,

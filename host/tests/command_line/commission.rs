@@ -44,8 +44,8 @@ fn a_unit_is_commissioned_and_a_second_call_continues_from_its_recording() {
 #[test]
 fn the_folder_of_another_unit_or_seed_is_refused() {
     let place = Place::new();
-    place.ok(&format!("{TINY} --lung R50C10"));
-    for other in ["--lung R50C20", "--lung R50C10 --seed 2", "--plant tcp:localhost:1"] {
+    place.ok(&format!("{TINY} --bench R50C10"));
+    for other in ["--bench R50C20", "--bench R50C10 --seed 2", "--plant tcp:localhost:1"] {
         let refused = place.refused(&format!("{TINY} {other}"));
         assert!(refused.contains("choose another folder"), "{refused}");
     }
@@ -54,8 +54,8 @@ fn the_folder_of_another_unit_or_seed_is_refused() {
 #[test]
 fn a_recording_that_fails_a_check_is_refused_with_what_to_do() {
     let place = Place::new();
-    let refused =
-        place.refused(&format!("{TINY} --lung R50C10 --pips 35 --collector 60,900 --pressure-limit 42"));
+    let refused = place
+        .refused(&format!("{TINY} --bench R50C10 --pips 35 --collector 60,900 --settings pressure_limit=42"));
     assert!(refused.contains("safe state ended 1 breath(s)"), "{refused}");
     assert!(!place.path("run/weights.bin").exists());
 }

@@ -28,7 +28,7 @@ fn a_controller_is_exported_with_the_steps_of_ten_lessons() {
 fn a_simulator_is_exported_with_a_breath() {
     let place = Place::new();
     let data = place.collected();
-    place.ok(&format!("fit --data {data} --epochs 3 --out a.safetensors"));
+    place.ok(&format!("fit {data} --epochs 3 --out a.safetensors"));
     let said = place.ok("export a.safetensors --out a.onnx --check a.json");
     assert!(said.contains("saved a.onnx: simulator, ") && said.contains("saved a.json"), "{said}");
     let breath = read(&place, "a.json");
@@ -47,7 +47,7 @@ fn what_cannot_be_exported_is_refused() {
     assert!(place.refused(&format!("export {data} --out a.onnx")).contains("not a valid"));
     assert!(place.refused("export missing.safetensors --out a.onnx").contains("missing.safetensors"));
     assert!(place.refused("export iterative --out a.onnx").contains("there is no controller iterative"));
-    place.ok(&format!("fit --data {data} --epochs 3 --out a.safetensors"));
+    place.ok(&format!("fit {data} --epochs 3 --out a.safetensors"));
     let told = place.refused("export a.safetensors --out a.onnx --unit 1");
     assert!(told.contains("it has 1, numbered from 0"), "{told}");
     assert!(!place.path("a.onnx").exists());

@@ -21,7 +21,7 @@ fn an_interrupted_collection_is_a_whole_recording() {
 fn an_interrupted_fit_saves_the_simulator() {
     let place = Place::new();
     let data = place.collected();
-    let output = place.interrupt(&format!("fit --data {data} --out sim.safetensors --epochs 10000000"));
+    let output = place.interrupt(&format!("fit {data} --out sim.safetensors --epochs 10000000"));
     assert_eq!(output.status.code(), INTERRUPTED, "{}", text(&output.stderr));
     assert!(text(&output.stdout).contains("stopped after"), "{}", text(&output.stdout));
     let simulator = Simulator::load(&place.path("sim.safetensors")).unwrap();
@@ -32,7 +32,7 @@ fn an_interrupted_fit_saves_the_simulator() {
 #[cfg(unix)]
 fn an_interrupted_search_gives_the_best_so_far() {
     let place = Place::new();
-    let output = place.interrupt("tune-pid --lung iso --exhaustive --breaths 50 --json -");
+    let output = place.interrupt("tune-pid --bench iso --grid exhaustive --breaths 50 --json -");
     assert_eq!(output.status.code(), INTERRUPTED, "{}", text(&output.stderr));
     let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(result["complete"], false);

@@ -97,13 +97,13 @@ fn json_has_every_breath_and_whether_the_limits_are_kept() {
 #[test]
 fn each_sore_spot_has_a_picture_of_its_worst_breath() {
     let place = place();
-    let out = place.ok("judge table.csv --map map.toml --figure spots");
+    let out = place.ok("judge table.csv --map map.toml --plots spots");
     assert!(out.contains("saved spots/table-01-A-1-R20-C20-breath-6-overshoot.svg"), "{out}");
     let svg = fs::read_to_string(place.path("spots/table-01-A-1-R20-C20-breath-6-overshoot.svg")).unwrap();
     for words in ["target", "pressure", "overshoot of 6.0 cmH2O", "inspiratory valve", "expiratory valve"] {
         assert!(svg.contains(words), "{words}");
     }
-    place.ok("judge table.csv --map map.toml --figure none --worst 0");
+    place.ok("judge table.csv --map map.toml --plots none --worst 0");
     assert!(!place.path("none").exists());
 }
 

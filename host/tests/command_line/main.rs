@@ -6,6 +6,7 @@ mod bedside;
 #[cfg(unix)]
 mod blackbox;
 mod commission;
+mod completions;
 mod export;
 mod farm;
 mod formats;

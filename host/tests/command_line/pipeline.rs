@@ -28,8 +28,8 @@ fn a_collection_is_a_valid_recording_and_the_same_for_the_same_seed() {
 fn a_learned_controller_that_collects_is_named_in_the_recording() {
     let place = Place::new();
     let controller = place.controller();
-    let packed = place.json(&format!("pack {controller} --out weights.bin"));
-    place.ok(&format!("collect --out a.parquet --breaths 2 --controller {controller} --no-exploration"));
+    let packed = place.json(&format!("export {controller} --out weights.bin"));
+    place.ok(&format!("collect --out a.parquet --breaths 2 --controller {controller} --exploration none"));
     let recording = Recording::load(place.path("a.parquet")).unwrap();
     assert_eq!(packed["id"], recording.provenance.weights_id.as_str());
     assert!(recording.explore.iter().all(|explore| *explore == 0.0));
@@ -39,7 +39,7 @@ fn a_learned_controller_that_collects_is_named_in_the_recording() {
 fn a_simulator_is_fitted_judged_and_reported() {
     let place = Place::new();
     let data = place.collected();
-    let line = format!("fit --data {data} {data} --out sim.safetensors --epochs 3 --states 4 --hidden 4");
+    let line = format!("fit {data} {data} --out sim.safetensors --epochs 3 --states 4 --hidden 4");
     let summary = place.json(&format!("{line} --report fit.html"));
     assert_eq!((&summary["training_breaths"], &summary["held_out_breaths"]), (&20.into(), &4.into()));
     assert!(summary["open_loop_true"].as_f64().unwrap() > 0.0);
@@ -117,20 +117,20 @@ fn triggered_breaths_are_scored_beside_timed_ones() {
 fn a_packed_controller_is_the_same_controller() {
     let place = Place::new();
     let controller = place.controller();
-    place.ok(&format!("pack {controller} --out weights.bin"));
+    place.ok(&format!("export {controller} --out weights.bin"));
     let image = decode(&std::fs::read(place.path("weights.bin")).unwrap()).unwrap();
     assert_eq!(image.residual, Learned::load(&place.path(controller)).unwrap().controller);
     let facts = place.ok("inspect weights.bin");
     assert!(facts.contains(&format!("{:08x}", image.id)) && facts.contains("seed 9"), "{facts}");
     let score =
         |line: &str| place.json(&format!("evaluate {line} --pips 20 --breaths 1"))["mean"]["learned"].clone();
-    assert_eq!(score("--weights weights.bin"), score(&format!("--controller {controller}")));
+    assert_eq!(score("--controller weights.bin"), score(&format!("--controller {controller}")));
 }
 
 #[test]
 fn the_best_pid_is_searched_and_mapped() {
     let place = Place::new();
-    let result = place.json("tune-pid --authors-grid --breaths 1 --pips 20 --report tuned.html");
+    let result = place.json("tune-pid --grid authors --breaths 1 --pips 20 --report tuned.html");
     let best = &result["lungs"][0]["best"];
     assert!(best["pi"]["score"].as_f64().unwrap() <= best["p_only"]["score"].as_f64().unwrap());
     assert_eq!(result["complete"], true);
@@ -155,7 +155,7 @@ fn table() -> String {
 fn measured_tables_become_a_recording() {
     let place = Place::new();
     std::fs::write(place.path("table.csv"), table()).unwrap();
-    let summary = place.json("import respiraworks table.csv --out table.parquet");
+    let summary = place.json("import table.csv --map respiraworks --out table.parquet");
     assert_eq!(summary["rows"], 800);
     let recording = Recording::load(place.path("table.parquet")).unwrap();
     assert_eq!(summary["complete_breaths"], recording.inspirations().len());
@@ -179,7 +179,7 @@ fn a_controller_is_trained_on_simulators_already_fitted() {
     let place = Place::new();
     let data = place.collected();
     for seed in [1, 2] {
-        place.ok(&format!("fit --data {data} --out {seed}.safetensors --epochs 30 --seed {seed}"));
+        place.ok(&format!("fit {data} --out {seed}.safetensors --epochs 30 --seed {seed}"));
     }
     let line = "train --simulator 1.safetensors 2.safetensors --iterations 10 --batch 16 --out once";
     let summary = place.json(line);

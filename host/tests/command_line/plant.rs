@@ -59,12 +59,12 @@ fn the_whole_pipeline_runs_on_a_plant_in_python() {
         return;
     }
     let (place, plant) = place_with_script();
-    let tuned = json(&place, &format!("tune-pid --plant {plant} --authors-grid --breaths 1 --pips 20"));
+    let tuned = json(&place, &format!("tune-pid --plant {plant} --grid authors --breaths 1 --pips 20"));
     assert_eq!(tuned["plan"]["period_us"], 30_000);
     let pi = tuned["over_all"]["pi"]["score"].as_f64().unwrap();
     assert!(pi > 0.0 && pi < 5.0, "{pi}");
     ok(&place, &format!("collect --plant {plant} --gains 2,30 --breaths 24 --out a.parquet"));
-    let fit = json(&place, "fit --data a.parquet --epochs 30 --out a.safetensors");
+    let fit = json(&place, "fit a.parquet --epochs 30 --out a.safetensors");
     assert!(fit["open_loop_true"].is_number());
     // The simulator's control period is the controller's.
     ok(&place, "train --simulator a.safetensors --iterations 10 --batch 16 --out once");
@@ -103,7 +103,7 @@ fn a_plant_that_dies_leaves_what_was_recorded() {
     assert!(said.contains("recording-0.partial.parquet"), "{said}");
     let recording = Recording::load(place.path("run/round-0/recording-0.partial.parquet")).unwrap();
     assert_eq!(recording.len(), 1251);
-    assert!(refused(&place, &format!("tune-pid --plant {plant} --coarse")).contains("gone"));
+    assert!(refused(&place, &format!("tune-pid --plant {plant} --grid coarse")).contains("gone"));
     assert!(refused(&place, &format!("evaluate --plant {plant}")).contains("gone"));
 }
 
@@ -140,7 +140,7 @@ fn another_period_than_the_plants_is_refused() {
 fn a_plant_takes_the_place_of_bench_and_port() {
     let place = Place::new();
     for line in [
-        "collect --out a.parquet --plant tcp:localhost:7000 --lung R20C20",
+        "collect --out a.parquet --plant tcp:localhost:7000 --bench R20C20",
         "evaluate --plant tcp:localhost:7000 --port tcp:localhost:5555",
         "train --out run --plant tcp:localhost:7000 --simulator a.safetensors",
         "tune-pid --plant-timeout 5",

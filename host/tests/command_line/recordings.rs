@@ -71,7 +71,7 @@ fn imported() -> Place {
     let place = Place::new();
     std::fs::write(place.path("table.csv"), table()).unwrap();
     std::fs::write(place.path("map.toml"), MAP).unwrap();
-    let summary = place.json("import csv table.csv --map map.toml --out a.parquet");
+    let summary = place.json("import table.csv --map map.toml --out a.parquet");
     assert_eq!((&summary["rows"], &summary["breaths"]), (&11_200.into(), &28.into()));
     place
 }
@@ -79,23 +79,22 @@ fn imported() -> Place {
 #[test]
 fn lungs_are_identified_and_one_becomes_a_bench() {
     let place = imported();
-    let found =
-        place.json("identify --data a.parquet --write-plant lung.toml --group X:1 --report lungs.html");
+    let found = place.json("identify a.parquet --write-plant lung.toml --group X:1 --report lungs.html");
     let lung = &found["lungs"][0];
     let compliance = lung["compliance"]["value"].as_f64().unwrap();
     assert!((compliance - 20.0).abs() < 0.5, "{found}");
     let scores = place.json("evaluate --bench lung.toml --gains 2,30 --pips 15,30 --breaths 1");
     assert!(scores["mean"]["pid"]["score"].as_f64().unwrap() < 5.0, "{scores}");
-    assert!(place.refused("identify --data a.parquet --write-plant all.toml").contains("--group"));
+    assert!(place.refused("identify a.parquet --write-plant all.toml").contains("--group"));
 }
 
 #[test]
 fn one_simulator_is_fitted_to_many_lungs_and_judged_on_one_it_never_saw() {
     let place = imported();
-    let fit = place.json("fit --data a.parquet --hold-out-lung 20:50 --epochs 40");
+    let fit = place.json("fit a.parquet --hold-out-lung 20:50 --epochs 40");
     for key in ["one_step", "open_loop", "open_loop_held_out_lung", "classical_open_loop"] {
         assert!(fit[key].as_f64().unwrap() > 0.0, "{key}: {fit}");
     }
     assert_eq!((&fit["training_breaths"], &fit["held_out_lung_breaths"]), (&18.into(), &7.into()));
-    assert!(place.refused("fit --data a.parquet --hold-out-lung 7:7").contains("20:50"));
+    assert!(place.refused("fit a.parquet --hold-out-lung 7:7").contains("20:50"));
 }

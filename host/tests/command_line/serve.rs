@@ -63,9 +63,9 @@ fn what_cannot_be_shown_is_refused_with_a_way_out() {
     let place = Place::new();
     for (line, expected) in [
         ("serve", "name a device with --port or --bench"),
-        ("serve --bench R20", "neither a file nor a lung"),
+        ("serve --bench R20", "or name a TOML file"),
         ("serve --recording missing.parquet", "missing.parquet"),
-        ("serve --blackbox missing.json", "cannot read missing.json"),
+        ("serve --recording missing.json", "cannot read missing.json"),
         ("serve --listen 192.0.2.1:8080 --bench R20C20", "choose another address with --listen"),
     ] {
         let refused = place.refused(line);

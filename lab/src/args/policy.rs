@@ -18,10 +18,10 @@ use host::command::Context;
 pub struct PolicyArgs {
     /// Your own policy in place of a controller, behind the safety envelope: tcp:HOST:PORT, or 'pipe:COMMAND' to start it; --gains sets
     /// the PID underneath
-    #[arg(long, value_name = "POLICY", conflicts_with_all = ["controller", "weights"])]
+    #[arg(long, value_name = "POLICY", conflicts_with = "controller")]
     pub policy: Option<Address>,
     /// Longest time the policy may take to answer, s
-    #[arg(long, value_name = "S", requires = "policy", value_parser = seconds, default_value_t = PATIENCE.as_secs_f64())]
+    #[arg(long, value_name = "SECONDS", requires = "policy", value_parser = seconds, default_value_t = PATIENCE.as_secs_f64())]
     policy_timeout: f64,
 }
 

@@ -1,12 +1,10 @@
 //! `lab bound`: a reference bound per lung and waveform, from commands optimised on a fully known lung.
 
-use std::path::PathBuf;
-
 use anyhow::bail;
 use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 
-use host::args::bench::benches;
+use host::args::bench::BenchesArgs;
 use host::args::settings::SettingsArgs;
 use host::command::{Command, Context, Makes, Output, OutputArgs};
 use plant::bench::BenchConfig;
@@ -15,28 +13,24 @@ use score::breathing::STRENGTHS;
 use score::evaluate::Plan;
 use show::report::{Cell, Table};
 
-/// Compute a reference bound: commands optimised by search on a fully known lung
+/// Compute a reference bound: the best commands for a known lung
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  lab bound --lung R20C20
-  lab bound --lung R5C50 --lung R50C10 --pips 15,35
-  lab bound --lung paper --json bound.json
-  lab bound --lung R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
-  lab bound --lung paper --breathing
+  lab bound --bench R20C20
+  lab bound --bench R5C50 --bench R50C10 --pips 15,35
+  lab bound --bench paper --json bound.json
+  lab bound --bench R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
+  lab bound --bench paper --breathing
 
 The search knows every parameter of the bench, has no sensor noise and may repeat a breath as often
 as it needs. It is a search, not a proof: better commands may exist. Check with --effort 2; where
 this was tried, scores improved by less than 1 %. Scores are those of `trainer evaluate`: errors of
 the true airway pressure. With --breathing, the search knows each effort in advance, as no
-controller can. Ctrl-C ends the search and prints the waveforms completed so far.")]
+controller can: efforts of 3, 6 and 10 cmH2O. Ctrl-C ends the search and prints the waveforms completed so far.")]
 pub struct Args {
-    /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
-    #[arg(long, value_name = "NAME", default_value = "R20C20")]
-    lung: Vec<String>,
-    /// Bench description in TOML, in place of a lung; repeatable
-    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with = "lung")]
-    bench: Vec<PathBuf>,
+    #[command(flatten)]
+    benches: BenchesArgs,
     /// PIPs of the waveforms, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
@@ -48,7 +42,7 @@ pub struct Args {
     /// Factor on the length of the search; if 2 gives the same result, 1 was enough
     #[arg(long, value_name = "N", default_value_t = BoundConfig::default().effort, value_parser = clap::value_parser!(u32).range(1..=100))]
     effort: u32,
-    /// Add triggered breaths: each lung also with efforts of 3, 6 and 10 cmH2O that start every breath
+    /// Add triggered breaths: each lung also with efforts that start every breath
     #[arg(long)]
     breathing: bool,
     /// Time from the beginning of an effort to the breath that it triggers, ms
@@ -93,7 +87,7 @@ impl Command for Args {
             settings: self.settings.checked(&self.pips)?,
             ..Plan::default()
         };
-        let mut benches = benches(&self.lung, &self.bench)?;
+        let mut benches = self.benches.benches()?;
         if self.breathing {
             benches = breathing(&benches, &plan)?;
         }

@@ -20,7 +20,7 @@ use trials::endure::patient::Patient;
 use trials::endure::tally::{AlarmRow, PatientResult, Summary};
 use trials::endure::{Endurance, Question, sound_controller};
 
-/// Ventilate random patients for hours, and check that ventilation goes on and that every alarm is deserved
+/// Ventilate random patients for hours, and check every alarm
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -41,7 +41,7 @@ Ctrl-C are kept, and the same command continues with the others. The command fai
 interruption of ventilation, an undeserved high-priority alarm, or a missed alarm.")]
 pub struct Args {
     /// Number of patients
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
     patients: u64,
     /// Stay of each patient, h
     #[arg(long, default_value_t = 1.0, value_parser = hours)]
@@ -49,11 +49,11 @@ pub struct Args {
     /// Seed of the patients, machines and settings
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// A learned controller, as written by `trainer train` [default: the PID of the fault matrix]
-    #[arg(long, value_name = "FILE")]
+    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train` [default: the PID of the fault matrix]
+    #[arg(long, value_name = "NAME|FILE")]
     controller: Option<PathBuf>,
     /// Run this patient only, and print its alarms with times and reasons
-    #[arg(long, value_name = "NUMBER", conflicts_with_all = ["patients", "keep", "out"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["patients", "keep", "out"])]
     patient: Option<u64>,
     /// File that keeps the results; an existing file is continued
     #[arg(long, value_name = "FILE", conflicts_with = "out")]

@@ -26,9 +26,9 @@ impl evaluate::Choice for Choice {
 
     const HELP: &'static str = "\
 Examples:
-  lab evaluate --controller iterative --against 6,250,0.15 --lung R5C50 --breaths-of-learning 20
-  lab evaluate --controller feed-forward --lung R20C20 --report evaluation.html
-  lab evaluate --policy tcp:localhost:7100 --gains 6,250,0.15 --lung R5C50
+  lab evaluate --controller iterative --against 6,250,0.15 --bench R5C50 --breaths-of-learning 20
+  lab evaluate --controller feed-forward --bench R20C20 --report evaluation.html
+  lab evaluate --policy tcp:localhost:7100 --gains 6,250,0.15 --bench R5C50
   lab evaluate --policy 'pipe:python3 examples/python/policy.py --onnx policy.onnx'
   lab evaluate --policy tcp:localhost:7100 --plant tcp:localhost:7000 --json -
 

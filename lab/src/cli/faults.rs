@@ -16,14 +16,14 @@ use trials::faults::cases::{LIMIT, LIMITS};
 use trials::faults::matrix::{FaultRow, false_alarms, matrix};
 use trials::faults::parts::{Part, without_each_part};
 
-/// Inject faults into sensors, valves, circuit and controller on the virtual bench, and check the alarms
+/// Inject faults on the virtual bench, and check the alarms
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   lab faults
-  lab faults --lung R5C10 --json faults.json --html faults.html
+  lab faults --bench R5C10 --json faults.json --report faults.html
   lab faults --limit 60                                 # another pressure limit
-  lab faults --without reading-frozen --lung R20C20     # the rows that need this monitor
+  lab faults --without reading-frozen --bench R20C20    # the rows that need this monitor
   lab faults --mutate                                   # the same for each monitor and response
   lab faults --nominal 10000                            # false alarms with effort and coughs
 
@@ -34,11 +34,11 @@ below its bound: 20 cmH2O above the limit, but never more than the 75 cmH2O that
 allows. Patients who breathe and changes of the settings must raise no high-priority alarm. The
 command fails if a row fails.")]
 pub struct Args {
-    /// Lung such as R20C20, or `paper` for its nine lungs; repeatable
-    #[arg(long, value_name = "NAME", default_value = "paper")]
-    lung: Vec<String>,
+    /// Virtual bench: a lung as in R20C20, `paper` for its nine lungs, or a TOML file; repeat it for more
+    #[arg(long, value_name = "LUNG|FILE", default_value = "paper")]
+    bench: Vec<String>,
     /// Seeds of the sensor noise
-    #[arg(long, value_name = "N,..", value_delimiter = ',', default_values_t = [1, 2])]
+    #[arg(long, value_name = "SEED,..", value_delimiter = ',', default_values_t = [1, 2])]
     seeds: Vec<u64>,
     /// Pressure limit, cmH2O; rows about breaths that end at the limit have a lower one of their own
     #[arg(long, value_name = "CMH2O", default_value_t = LIMIT, value_parser = limit)]
@@ -50,11 +50,11 @@ pub struct Args {
     #[arg(long, conflicts_with = "without")]
     mutate: bool,
     /// Run this many breaths without a fault and require that no alarm occurs
-    #[arg(long, value_name = "BREATHS", conflicts_with_all = ["without", "mutate"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["without", "mutate"])]
     nominal: Option<u32>,
-    /// Write the matrix as an HTML page
-    #[arg(long, value_name = "FILE")]
-    html: Option<PathBuf>,
+    /// Write the matrix to an HTML report
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -81,7 +81,7 @@ impl Command for Args {
     }
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
-        let lungs = benches(&self.lung, &[])?;
+        let lungs = benches(&self.bench)?;
         match (self.nominal, self.mutate) {
             (Some(breaths), _) => nominal(&lungs, breaths, context).map(|()| None),
             (None, true) => mutate(self, &lungs, context).map(|()| None),
@@ -107,7 +107,7 @@ fn faults(args: &Args, lungs: &[BenchConfig], context: &Context<'_>) -> anyhow::
     let rows = context.progress(|progress| matrix(lungs, &args.seeds, args.limit, monitors, progress))?;
     let table = table(&rows);
     context.table(&table);
-    context.report(args.html.as_ref(), || Ok(report(table, args.limit)))?;
+    context.report(args.report.as_ref(), || Ok(report(table, args.limit)))?;
     Ok(Summary { rows })
 }
 

@@ -8,7 +8,7 @@ use serde::Serialize;
 use shared::control::pid::PidGains;
 
 use crate::args::law::LawArgs;
-use host::args::bench::benches;
+use host::args::bench::BenchesArgs;
 use host::args::controller::Chosen;
 use host::command::{Command, Context, Makes, Output, OutputArgs, write};
 use margins::iteration::{Certificate, Certified, LearningFilter, Spread};
@@ -27,15 +27,15 @@ const FAINT: (u8, u8, u8) = (200, 200, 200);
 /// Points of a circle in a figure.
 const CIRCLE: usize = 180;
 
-/// Measure the stability margins of a controller by sine injection in closed loop
+/// Measure the stability margins of a controller by sine injection
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   lab margins --gains 6,290,0.21
-  lab margins --controller out/once/controller.safetensors --lung paper --json margins.json
-  lab margins --gains 6,290,0.21 --bench slow.toml --bench fast.toml --figure nyquist.svg
+  lab margins --controller out/once/controller.safetensors --bench paper --json margins.json
+  lab margins --gains 6,290,0.21 --bench slow.toml --bench fast.toml --plot nyquist.svg
   lab margins --family adult --plants 100 --seed 2 --controller out/once/controller.safetensors
-  lab margins --gains 2.5,60,0.08 --learning 2,50,15 --learning-figure learning.svg
+  lab margins --gains 2.5,60,0.08 --learning 2,50,15 --learning-plot learning.svg
 
 A plateau is held at each of the paper's six PIPs, and a sine is added to the command of the
 inspiratory valve. The ratio of the commands before and after the sine is the loop gain L. From it:
@@ -64,17 +64,13 @@ which a later breath is worse.")]
 pub struct Args {
     #[command(flatten)]
     law: LawArgs,
-    /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
-    #[arg(long, value_name = "NAME", default_value = "R20C20", conflicts_with_all = ["bench", "family"])]
-    lung: Vec<String>,
-    /// Bench description in TOML, in place of --lung; repeatable
-    #[arg(long, value_name = "FILE", conflicts_with = "family")]
-    bench: Vec<PathBuf>,
-    /// Random plants of a family, in place of --lung: adult, neonate, or a TOML file
-    #[arg(long, value_name = "NAME|FILE")]
+    #[command(flatten)]
+    benches: BenchesArgs,
+    /// Random plants of a family, in place of --bench: adult, neonate, or a TOML file
+    #[arg(long, value_name = "NAME|FILE", conflicts_with = "bench")]
     family: Option<String>,
     /// Number of plants of the family
-    #[arg(long, requires = "family", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", requires = "family", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     plants: u32,
     /// Amplitude of the sine, percent
     #[arg(long, value_name = "PERCENT", value_parser = amplitude, default_value_t = Sweep::default().amplitude)]
@@ -88,10 +84,10 @@ pub struct Args {
     seed: u64,
     /// Write the Nyquist plot of the worst loops as SVG
     #[arg(long, value_name = "FILE.svg")]
-    figure: Option<PathBuf>,
+    plot: Option<PathBuf>,
     /// Write the factors of iterative learning over frequency as SVG, of several plants with their median and 95 %
     #[arg(long, value_name = "FILE.svg")]
-    learning_figure: Option<PathBuf>,
+    learning_plot: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -145,9 +141,9 @@ impl Command for Args {
             Some(family) => self.law.chosen_for(family)?,
             None => self.law.chosen(None)?,
         };
-        if self.learning_figure.is_some() && learning_of(self, &chosen).is_none() {
+        if self.learning_plot.is_some() && learning_of(self, &chosen).is_none() {
             bail!(
-                "--learning-figure needs a learning rule: give --learning, or choose --controller iterative or gated"
+                "--learning-plot needs a learning rule: give --learning, or choose --controller iterative or gated"
             );
         }
         let sweep = Sweep::default().with_amplitude(self.amplitude);
@@ -163,10 +159,10 @@ impl Command for Args {
         }
         let summary = summary(self, &chosen, sweep, measured, accuracy);
         print(self, &summary, context);
-        if let Some(file) = &self.figure {
+        if let Some(file) = &self.plot {
             save(file, &nyquist(&summary.plants), context)?;
         }
-        if let (Some(file), Some(learning)) = (&self.learning_figure, &summary.learning) {
+        if let (Some(file), Some(learning)) = (&self.learning_plot, &summary.learning) {
             save(file, &contraction(learning), context)?;
         }
         Ok(Some(summary))
@@ -182,7 +178,7 @@ fn learning_of(args: &Args, chosen: &Chosen) -> Option<LearningFilter> {
 fn plants(args: &Args, family: Option<&Family>) -> anyhow::Result<Vec<BenchConfig>> {
     match family {
         Some(family) => Ok((0..args.plants).map(|number| family.draw(args.seed, number)).collect()),
-        None => benches(&args.lung, &args.bench),
+        None => args.benches.benches(),
     }
 }
 

@@ -21,12 +21,12 @@ mod tune_rival;
 
 use clap::Parser;
 
-use host::command::{Program, Runnable};
+use host::command::{Program, Runnable, completions};
 use host::commands;
 
 /// The laboratory of learned pressure control: rivals, robustness, faults, margins, the paper's experiments.
 #[derive(Debug, Parser)]
-#[command(name = "lab", version, long_about = None, after_help = "\
+#[command(name = Self::NAME, version, long_about = None, after_help = "\
 `cargo trainer` learns controllers and goes with a ventilator; `cargo lab` examines them. EUPNEA_LOG
 sets what is logged, as in EUPNEA_LOG=debug. Research software: never for use on a patient.")]
 pub struct Cli {
@@ -35,6 +35,12 @@ pub struct Cli {
 }
 
 impl Program for Cli {
+    const NAME: &'static str = "lab";
+
+    fn groups() -> &'static [&'static str] {
+        Commands::GROUPS
+    }
+
     fn chosen(&self) -> &dyn Runnable {
         self.command.chosen()
     }
@@ -42,20 +48,27 @@ impl Program for Cli {
 
 commands! {
     enum Commands {
-        Evaluate(evaluate::Args),
-        Robust(robust::Args),
-        Bound(bound::Args),
-        Margins(margins::Args),
-        TestTable(test_table::Args),
-        TuneRival(tune_rival::Args),
-        Faults(faults::Args),
-        Torture(torture::Args),
-        Endure(endure::Args),
-        Reproduce(reproduce::Args),
-        Sweep(sweep::Args),
-        #[cfg(unix)]
-        Submit(submit::Args),
-        Runs(runs::Args),
+        "Compare" {
+            Evaluate(evaluate::Args),
+            Bound(bound::Args),
+            TestTable(test_table::Args),
+            TuneRival(tune_rival::Args),
+        }
+        "Stress" {
+            Robust(robust::Args),
+            Margins(margins::Args),
+            Faults(faults::Args),
+            Torture(torture::Args),
+            Endure(endure::Args),
+        }
+        "Run" {
+            Reproduce(reproduce::Args),
+            Sweep(sweep::Args),
+            #[cfg(unix)]
+            Submit(submit::Args),
+            Runs(runs::Args),
+            Completions(completions::Args<Cli>),
+        }
     }
 }
 

@@ -10,7 +10,7 @@ use paper::shards::Shards;
 use paper::{Budget, Experiment, Reproduction, Results, headline, lungs_table, run as reproduce};
 use plant::bench::BenchConfig;
 
-/// Run the paper's experiments on nine lungs of the virtual bench and write a report
+/// Run the paper's experiments on nine lungs and write a report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -28,7 +28,7 @@ Most experiments need the results of earlier experiments. A shard runs the earli
 other task has started, and waits for the rest. So start all shards at the same time.")]
 pub struct Args {
     /// Folder for all results
-    #[arg(long, value_name = "DIR", default_value = "out/reproduce")]
+    #[arg(long, value_name = "PATH", default_value = "out/reproduce")]
     out: PathBuf,
     /// Run shorter versions of the experiments: the same trends in a few minutes
     #[arg(long)]

@@ -24,7 +24,7 @@ use trials::robust::{Question, Robustness, Summary, Tally};
 /// Ratios to the family's PID that the figure shows.
 const RATIOS: (f64, f64) = (0.3, 1.5);
 
-/// Run a controller on many random plants of a family, beside the best single PID of that family
+/// Run a controller on random plants, beside the best single PID
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -54,13 +54,13 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
     family: String,
     /// Number of plants
-    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
     plants: u32,
     /// Number of plants, the first ones, whose own best PID and bound are searched
-    #[arg(long, value_name = "PLANTS", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = 100)]
     subset: u32,
     /// Breaths on each plant
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     breaths: u32,
     #[command(flatten)]
     law: LawArgs,
@@ -80,10 +80,10 @@ pub struct Args {
     /// Write the ten worst plants into this folder, as bench descriptions
     #[arg(long, value_name = "DIR")]
     save_worst: Option<PathBuf>,
-    /// Write the figures ratios.svg (distribution of the ratios to the family's PID) and breaths.svg (mean score by breath) into
+    /// Write the plots ratios.svg (distribution of the ratios to the family's PID) and breaths.svg (mean score by breath) into
     /// this folder
     #[arg(long, value_name = "DIR")]
-    figures: Option<PathBuf>,
+    plots: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -167,7 +167,7 @@ fn shown(
     if let Some(folder) = &args.save_worst {
         save_worst(args, folder, family, &summary, context)?;
     }
-    if let Some(folder) = &args.figures {
+    if let Some(folder) = &args.plots {
         create(folder)?;
         write(&folder.join("ratios.svg"), ratios(&summary, test.sums()).to_svg()?.as_bytes())?;
         write(&folder.join("breaths.svg"), by_breath(&summary).to_svg()?.as_bytes())?;

@@ -13,12 +13,12 @@ use experiments::runs::{
 use host::command::{Command, Context, Output, OutputArgs, write};
 use show::report::{Block, Cell, Plot, Report, Section, Table};
 
-/// List, compare and plot runs, from the records that commands leave in their folders
+/// List, compare and plot runs by the records they leave
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   lab runs out
-  lab runs out --figure mean.learned --sort mean.learned --filter lung=R20C20
+  lab runs out --figure mean.learned --sort mean.learned --filter bench=R20C20
   lab runs out --compare seed-1 seed-2
   lab runs out/sweep --figure mean.learned --plot learned.svg --x seed
   lab runs out --plot curves.svg --report runs.html

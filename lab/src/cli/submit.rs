@@ -12,7 +12,7 @@ use experiments::submit::{Job, SubmitError};
 use host::cli::Cli as Trainer;
 use host::command::{Command, Context, Makes, Program};
 
-/// Run a command in shards, on Slurm or with GNU parallel, and merge them
+/// Run a command in shards, on Slurm or with GNU parallel
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -11,7 +11,7 @@ use host::args::shards::ShardArgs;
 use host::command::{Command, Context, Output, OutputArgs};
 use show::report::{Cell, Table};
 
-/// Run a command with every combination of some options, such as seeds or hyper-parameters
+/// Run a command with every combination of some options
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -19,7 +19,7 @@ Examples:
   lab submit slurm --shards 12 -- sweep sweep.toml --out out/sweep
 
 sweep.toml, here twelve runs of the demo:
-  command = \"demo --lung R20C20 --out {out}\"
+  command = \"demo --bench R20C20 --out {out}\"
   figures = [\"mean.pid\", \"mean.learned\"]
   [options]
   rounds = [1, 3]
@@ -35,7 +35,7 @@ pub struct Args {
     #[arg(value_name = "FILE.toml")]
     file: PathBuf,
     /// Folder of all runs
-    #[arg(long, value_name = "DIR", default_value = "out/sweep")]
+    #[arg(long, value_name = "PATH", default_value = "out/sweep")]
     out: PathBuf,
     #[command(flatten)]
     shards: ShardArgs,

@@ -14,7 +14,7 @@ use score::evaluate::{EVALUATE, plateau_tolerance};
 use show::report::{Cell, Table};
 use trials::test_table::{MOST_OVERSHOOT, Outcome, outcome};
 
-/// Run the 21 pressure-control rows of ISO 80601-2-12, each on the machine that fits its lung
+/// Run the 21 pressure-control rows of ISO 80601-2-12
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -9,7 +9,7 @@ use host::command::{Command, Context, Output, OutputArgs};
 use trials::faults::cases::LIMIT;
 use trials::faults::torture::{BREATHS_PER_RUN, Peaks, Summary, Torture};
 
-/// Run random breaths with hostile weights, random lungs and random faults, and check the highest true pressure
+/// Run hostile weights and random faults, and check the pressure
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -24,7 +24,7 @@ command continues. The command fails if the true airway pressure exceeds the lim
 15 cmH2O.")]
 pub struct Args {
     /// Number of breaths
-    #[arg(long, default_value_t = 10_000)]
+    #[arg(long, value_name = "N", default_value_t = 10_000)]
     breaths: u64,
     /// Seed of the lungs, weights and faults
     #[arg(long, default_value_t = 1)]

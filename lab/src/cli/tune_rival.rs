@@ -1,7 +1,5 @@
 //! `lab tune-rival`: searches the best parameters of a rival for a family or for lungs.
 
-use std::path::PathBuf;
-
 use serde::Serialize;
 
 use crate::args::law::rival_names;
@@ -12,13 +10,13 @@ use laws::rivals::tuning::{Tuned, TuningPlan, tune};
 use plant::bench::family::Family;
 use show::report::{Cell, Table};
 
-/// Search for the best parameters of a rival: variable-gain, iterative, feed-forward or gated
+/// Search for the best parameters of a rival from the literature
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   lab tune-rival variable-gain
   lab tune-rival iterative --family my-machines.toml --json tuned.json
-  lab tune-rival feed-forward --lung R5C50
+  lab tune-rival feed-forward --bench R5C50
 
 variable-gain is a PID with a higher gain on errors outside a dead zone (Hunnekens et al. 2020).
 iterative is iterative learning control over a PID: what it adds to the command is learned from the
@@ -40,14 +38,11 @@ pub struct Args {
     #[arg(value_name = "NAME", value_parser = rival)]
     rival: Rival,
     /// Family of plants: adult, neonate, or a TOML file
-    #[arg(long, value_name = "NAME|FILE", default_value = "adult", conflicts_with_all = ["lung", "bench"])]
+    #[arg(long, value_name = "NAME|FILE", default_value = "adult", conflicts_with = "bench")]
     family: String,
-    /// Lung such as R20C20, or `paper` for its nine lungs, in place of a family; repeatable
-    #[arg(long, value_name = "NAME")]
-    lung: Vec<String>,
-    /// Bench description in TOML, in place of a family; repeatable
-    #[arg(long, value_name = "FILE", conflicts_with = "lung")]
-    bench: Vec<PathBuf>,
+    /// Virtual bench, in place of a family: a lung as in R20C20, `paper` for its nine lungs, or a TOML file; repeat it for more
+    #[arg(long, value_name = "LUNG|FILE")]
+    bench: Vec<String>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -76,10 +71,10 @@ impl Command for Args {
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
         let rival = self.rival;
-        let plan = if self.lung.is_empty() && self.bench.is_empty() {
+        let plan = if self.bench.is_empty() {
             TuningPlan::of_family(&Family::find(&self.family)?, rival)
         } else {
-            TuningPlan::of_benches(&benches(&self.lung, &self.bench)?, rival)?
+            TuningPlan::of_benches(&benches(&self.bench)?, rival)?
         };
         let tuned = context.progress(|progress| tune(rival, &plan, progress))?;
         context.table(&table(rival, &tuned));

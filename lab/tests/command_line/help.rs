@@ -1,6 +1,6 @@
 //! The texts of `--help`, word by word.
 
-use super::support::Place;
+use super::support::{Place, text};
 
 #[test]
 fn every_command_explains_itself() {
@@ -19,9 +19,12 @@ fn every_command_explains_itself() {
         "sweep",
         "submit",
         "runs",
+        "completions",
     ] {
         let help = place.ok(&format!("{command} --help"));
         assert!(help.contains("Examples:"), "{command}");
         insta::assert_snapshot!(command, help);
     }
+    let help = place.program(env!("CARGO_BIN_EXE_lab")).arg("--help").env("COLUMNS", "100").output().unwrap();
+    insta::assert_snapshot!("lab", text(&help.stdout));
 }

@@ -4,6 +4,7 @@ mod endure;
 mod help;
 mod interrupted;
 mod margins;
+mod options;
 mod policy;
 #[path = "../../../host/tests/command_line/python.rs"]
 mod python;

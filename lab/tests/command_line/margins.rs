@@ -5,7 +5,7 @@ use super::support::Place;
 #[test]
 fn a_pid_has_margins_at_six_points_the_same_for_the_same_seed() {
     let place = Place::new();
-    let line = "margins --gains 3,30 --learning 2,50,15 --figure nyquist.svg --learning-figure learning.svg";
+    let line = "margins --gains 3,30 --learning 2,50,15 --plot nyquist.svg --learning-plot learning.svg";
     let result = place.json(line);
     let plant = &result["plants"][0];
     assert_eq!(plant["plant"], "R20C20");
@@ -35,7 +35,7 @@ fn a_learned_controller_is_measured_beside_its_pid_with_the_gain_of_its_residual
 
 #[test]
 fn iterative_learning_is_certified_plant_by_plant_on_a_family() {
-    let line = "margins --family adult --plants 2 --seed 3 --controller iterative --learning-figure all.svg";
+    let line = "margins --family adult --plants 2 --seed 3 --controller iterative --learning-plot all.svg";
     let place = Place::new();
     let result = place.json(line);
     assert_eq!(result["learning"]["share_certified"], 1.0);
@@ -48,7 +48,7 @@ fn iterative_learning_is_certified_plant_by_plant_on_a_family() {
 
 #[test]
 fn the_shipped_controller_for_adults_keeps_the_margins_on_lungs_of_medium_and_high_resistance() {
-    let lungs = "--lung R20C10 --lung R20C20 --lung R20C50 --lung R50C10 --lung R50C50 --lung R5C50";
+    let lungs = "--bench R20C10 --bench R20C20 --bench R20C50 --bench R50C10 --bench R50C50 --bench R5C50";
     let result = Place::new().json(&format!("margins {lungs} --controller adult"));
     assert_eq!(result["share_robust"], 1.0, "{}", result["worst"]);
 }

@@ -242,7 +242,7 @@ fn a_policy_takes_the_place_of_a_controller() {
         "evaluate --policy-timeout 5",
         "evaluate --policy localhost:7100",
         "evaluate --policy tcp:localhost:7100 --policy-timeout 0",
-        "robust --policy tcp:localhost:7100 --weights weights.bin",
+        "robust --policy tcp:localhost:7100 --controller weights.bin",
         "robust --policy-id one",
     ] {
         assert_eq!(place.run(line).status.code(), Some(2), "{line}");

@@ -63,7 +63,7 @@ fn a_device_and_a_weights_image_refuse_a_rival() {
     let place = Place::new();
     let refused = place.refused("collect --out a.parquet --controller iterative");
     assert!(refused.contains("there is no controller iterative"), "{refused}");
-    let refused = place.refused("pack feed-forward --out a.bin");
+    let refused = place.refused("export feed-forward --out a.bin");
     assert!(refused.contains("there is no controller feed-forward"), "{refused}");
     assert!(!place.path("a.parquet").exists() && !place.path("a.bin").exists());
 }
@@ -80,7 +80,7 @@ fn the_authors_controller_is_trained_scored_and_refused_by_devices() {
     let facts = place.ok(&format!("inspect {file}"));
     assert!(facts.contains("authors") && facts.contains("10000"), "{facts}");
     for line in [
-        format!("pack {file} --out a.bin"),
+        format!("export {file} --out a.bin"),
         format!("flash {file} --port tcp:localhost:1"),
         format!("collect --controller {file} --out a.parquet"),
     ] {

@@ -7,7 +7,7 @@ fn the_json_has_the_fixed_fields_with_a_value_for_every_scored_breath() {
     let place = Place::new();
     place.write_short_family();
     let line = "robust --family short.toml --plants 3 --breaths 6 --subset 1 --gains 2,80,0.1 --seed 4";
-    let result = place.json(&format!("{line} --figures figures --save-worst worst"));
+    let result = place.json(&format!("{line} --plots figures --save-worst worst"));
     assert_eq!(result["plants"], 3);
     assert_eq!(result["breaths"], serde_json::json!([1, 6]));
     for field in [

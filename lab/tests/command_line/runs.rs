@@ -31,7 +31,7 @@ fn every_run_leaves_a_record_of_what_made_it() {
     let record: Value =
         serde_json::from_str(&fs::read_to_string(place.path("out/train-5/made-by.json")).unwrap()).unwrap();
     assert_eq!((&record["command"][0], &record["ending"]), (&"train".into(), &"complete".into()));
-    assert_eq!((&record["options"]["seed"], &record["options"]["lung"]), (&"5".into(), &"R20C20".into()));
+    assert_eq!((&record["options"]["seed"], &record["options"]["bench"]), (&"5".into(), &"R20C20".into()));
     assert!(record["figures"]["validation"].is_number() && record["attempts"] == 1, "{record}");
     assert_eq!(record["curves"]["rounds.0.fit_curve"]["steps"], json!([1, 2, 3, 4]));
     let shown = place.ok("runs out --figure validation --figure peak_true");
@@ -98,7 +98,7 @@ fn a_refused_command_changes_no_record_and_leaves_none() {
     let first = record();
     place.refused(&format!("{line} --seed 2"));
     assert_eq!(record(), first);
-    place.refused("train --out new/run --rise-time 0.2");
+    place.refused("train --out new/run --settings rise_time=0.2");
     assert!(!place.path("new").exists());
     place.ok(line);
     let again: Value = serde_json::from_str(&record()).unwrap();

@@ -5,8 +5,8 @@
 //! ```text
 //! trainer train-family --family adult --out out/adult
 //! trainer train-family --family neonate --ripple 0.4 --out out/neonate
-//! trainer pack out/adult/controller.safetensors --out host/learn/controllers/adult.bin
-//! trainer pack out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
+//! trainer export out/adult/controller.safetensors --out host/learn/controllers/adult.bin
+//! trainer export out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
 //! ```
 //!
 //! For newborns, twice that ripple would cost 2 % of error in later breaths.

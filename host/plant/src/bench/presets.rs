@@ -1,5 +1,7 @@
 //! Named lungs: those of the paper and those of the pressure-control test table, on the default machine or on one for newborns.
 
+use std::path::Path;
+
 use shared::breath::{ISO_ROWS, IsoRow};
 
 use super::config::{
@@ -128,6 +130,23 @@ impl BenchConfig {
             }
             single => Self::from_name(single).map(|lung| vec![lung]),
         }
+    }
+
+    /// The benches that a text selects: those of a lung's name, as [`BenchConfig::preset`] knows it, or the one that a file describes.
+    ///
+    /// # Errors
+    /// See [`BenchConfig::preset`] and [`BenchConfig::load`].
+    pub fn find(text: &str) -> Result<Vec<Self>, BenchError> {
+        match Self::file(text) {
+            Some(path) => Ok(vec![Self::load(path)?]),
+            None => Self::preset(text),
+        }
+    }
+
+    /// The file that a text means; none if it can only be the name of a lung.
+    pub fn file(text: &str) -> Option<&Path> {
+        let path = Path::new(text);
+        (path.extension().is_some_and(|ending| ending == "toml") || path.is_file()).then_some(path)
     }
 
     fn with_lung(name: String, resistance: f64, compliance: f64) -> Self {

@@ -107,7 +107,7 @@ pub enum BoundError {
     Patient(String),
     /// Efforts drift against the breaths.
     #[error(
-        "the patient of bench {name} must make one effort per breath, so that each triggers one: set effort_rate_per_min to {rate}, or change --rate"
+        "the patient of bench {name} must make one effort per breath, so that each triggers one: set effort_rate_per_min to {rate}, or set another rate with --settings"
     )]
     OtherRate {
         /// Name of the bench.

@@ -13,7 +13,7 @@ fn args(arguments: &[&str]) -> Args {
         #[command(flatten)]
         args: Args,
     }
-    let line = ["fit", "--data", "a", "--out", "b"].iter().chain(arguments);
+    let line = ["fit", "a", "--out", "b"].iter().chain(arguments);
     <Line as clap::Parser>::try_parse_from(line).unwrap().args
 }
 

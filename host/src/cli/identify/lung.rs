@@ -1,4 +1,4 @@
-//! `trainer identify --data`: identifies the lungs in a recording.
+//! `trainer identify FILE`: identifies the lungs in a recording.
 
 use std::path::Path;
 

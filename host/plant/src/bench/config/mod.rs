@@ -56,7 +56,7 @@ pub enum BenchError {
     /// There is no lung or preset of that name.
     #[error(
         "unknown lung \"{0}\": use R<cmH2O/(L/s)>C<mL/cmH2O> (such as R20C20), iso-01 to iso-21, either of them on \
-         the machine for newborns as in neonate-R100C2, or for several lungs paper, iso, iso-matched or neonate-iso"
+         the machine for newborns as in neonate-R100C2, or for several lungs paper, iso, iso-matched or neonate-iso; or name a TOML file"
     )]
     UnknownName(String),
     /// The file is not a bench description.

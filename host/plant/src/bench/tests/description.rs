@@ -198,3 +198,16 @@ fn files_are_read_and_missing_ones_named() {
     let missing = BenchConfig::load(folder.path().join("none.toml")).unwrap_err();
     assert!(missing.to_string().contains("none.toml"));
 }
+
+#[test]
+fn a_bench_is_found_by_its_lung_or_in_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bench");
+    std::fs::write(&path, BenchConfig::paper(50.0, 10.0).to_toml()).unwrap();
+    let found = |text: &str| BenchConfig::find(text);
+    assert_eq!(found(path.to_str().unwrap()).unwrap(), [BenchConfig::paper(50.0, 10.0)]);
+    assert_eq!(found("R5.5C20").unwrap(), [BenchConfig::paper(5.5, 20.0)]);
+    assert_eq!(found("paper").unwrap().len(), 9);
+    assert!(matches!(found("none.toml"), Err(BenchError::File { .. })));
+    assert!(matches!(found("none"), Err(BenchError::UnknownName(_))));
+}
