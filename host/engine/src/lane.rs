@@ -24,13 +24,13 @@ impl Lane {
     pub const ZERO: Self = Self([0.0; LANES]);
 
     /// The same value for all rollouts.
-    #[inline]
+    #[inline(always)]
     pub const fn splat(value: f32) -> Self {
         Self([value; LANES])
     }
 
     /// A lane with the value `f(l)` for rollout `l`.
-    #[inline]
+    #[inline(always)]
     pub fn from_fn(f: impl FnMut(usize) -> f32) -> Self {
         Self(std::array::from_fn(f))
     }
@@ -73,14 +73,14 @@ impl Default for Lane {
 impl Index<usize> for Lane {
     type Output = f32;
 
-    #[inline]
+    #[inline(always)]
     fn index(&self, rollout: usize) -> &f32 {
         &self.0[rollout]
     }
 }
 
 impl IndexMut<usize> for Lane {
-    #[inline]
+    #[inline(always)]
     fn index_mut(&mut self, rollout: usize) -> &mut f32 {
         &mut self.0[rollout]
     }

@@ -5,6 +5,7 @@
 
 pub mod proto;
 pub mod state;
+pub mod symbol;
 
 use self::proto::{
     ATTRIBUTE_INT, Attribute, Dimension, Entry, FLOAT, Graph, INT64, IR_VERSION, Model, Node, OPSET,

@@ -31,6 +31,7 @@ pub mod stitched;
 #[cfg(test)]
 mod tests_support;
 mod timing;
+mod trajectory;
 pub mod unit;
 
 pub(crate) use breath_start::USUAL_PEEP;

@@ -107,6 +107,7 @@ fn compute(node: &Node, x: &[&Matrix]) -> Vec<Matrix> {
         "Floor" => each(&f32::floor),
         "Round" => each(&f32::round_ties_even),
         "Sqrt" => each(&f32::sqrt),
+        "Exp" => each(&f32::exp),
         "Log" => each(&f32::ln),
         "Reciprocal" => each(&|x| 1.0 / x),
         "Tanh" => each(&f32::tanh),

@@ -2,14 +2,18 @@
 //! run that was not recorded, so the network that explains the remainder of a recorded run is not a part of it.
 
 use super::HybridConfig;
-use super::lung::{ML_PER_L, NOMINAL, Physics, ROUNDING};
+use super::lung::{GIVEN, LungEquations, PHYSICS, STATE};
 use super::ventilator::{MOST_OPENING, OPENINGS, USUAL_OPENING};
 use crate::graph::state::State;
+use crate::graph::symbol::{Symbol, Symbols};
 use crate::graph::{Builder, Value};
-use crate::simulator::BreathStart;
 use crate::simulator::block::{Block, commands_seen, known, pressures};
-use crate::simulator::branch::conductance_graph;
 use crate::simulator::leaky::{begin_graph, step_graph};
+use crate::simulator::trajectory::Equations;
+use crate::simulator::{BreathStart, Timing};
+
+/// Pieces of the state that are the lung's, in the order of its equations.
+const PIECES: [&str; STATE] = ["airway pressure", "alveolar pressure"];
 
 /// The graph: the pressures, and the state after the block.
 pub(super) fn hybrid(
@@ -22,8 +26,8 @@ pub(super) fn hybrid(
     let pieces = [
         ("commands", config.history * timing.width()),
         ("states", config.states),
-        ("alveolar pressure", 1),
-        ("airway pressure", 1),
+        (PIECES[1], 1),
+        (PIECES[0], 1),
         ("pressure", 1),
     ];
     let mut state = State::input(graph, &pieces);
@@ -31,10 +35,7 @@ pub(super) fn hybrid(
     let seen = commands_seen(graph, &mut state, block, (timing, config.history), &rest);
     let layout = config.layout();
     let openings = openings(graph, &mut state, block, (config, &parameters[layout.ventilator]), &seen);
-    let physics = Physics::new(timing, &parameters[layout.physics]);
-    let lung = Lung::of(graph, block, &physics);
-    begin_lung(graph, &mut state, block, physics.left);
-    let points: Vec<Value> = (0..timing.points).map(|_| lung.step(graph, &mut state, &openings)).collect();
+    let points = lung(graph, &mut state, block, (timing, &parameters[layout.physics]), &openings);
     (pressures(graph, &mut state, block, timing, &points), state)
 }
 
@@ -70,85 +71,37 @@ fn openings(
     [0, 1].map(|n| graph.columns(&openings, &[n]))
 }
 
-/// The lung of a breath.
-struct Lung {
-    /// R1, its square, and four times R2.
-    linear: Value,
-    linear_square: Value,
-    square: Value,
-    rise: Value,
-    keep: Value,
-    supply: Value,
-}
-
-impl Lung {
-    fn of(graph: &mut Builder, block: &Block, physics: &Physics) -> Self {
-        let step = ML_PER_L * physics.step_s;
-        let [resistance, compliance] = block.lung();
-        let nominal = graph.number(NOMINAL);
-        let resistance = graph.div(resistance, &nominal);
-        let linear = graph.scale(&resistance, physics.linear.exp());
-        let square = graph.scale(&resistance, 4.0 * physics.square.exp());
-        let compliance = graph.scale(compliance, physics.compliance.exp());
-        let step_value = graph.number(step);
-        Self {
-            linear_square: graph.mul(&linear, &linear),
-            linear,
-            square,
-            rise: graph.div(&step_value, &compliance),
-            keep: graph.number(physics.circuit.exp() / step),
-            supply: graph.number(physics.supply.exp()),
-        }
+/// The lung of a breath: the airway pressure at each point of a block, from its openings.
+fn lung(
+    graph: &mut Builder,
+    state: &mut State,
+    block: &Block,
+    (timing, physics): (&Timing, &[f32]),
+    openings: &[Value; OPENINGS],
+) -> Vec<Value> {
+    let symbols = Symbols::new(graph);
+    let known = [block.pressure(), block.plateau(), block.lung()[0], block.lung()[1]];
+    let given: [_; GIVEN] = std::array::from_fn(|n| match n.checked_sub(PHYSICS) {
+        None => symbols.constant(physics[n]),
+        // A lung that was not recorded has no deviations.
+        Some(n) => known.get(n).map_or_else(|| symbols.constant(0.0), |value| symbols.of(value)),
+    });
+    let (numbers, first) = LungEquations::new(timing).begin(given);
+    let (numbers, first) = (numbers.map(Symbol::value), first.map(Symbol::value));
+    for (piece, value) in PIECES.iter().zip(&first) {
+        state.set_where(graph, &block.begins, piece, value);
     }
-
-    /// One implicit step with these openings; the airway pressure after it.
-    fn step(&self, graph: &mut Builder, state: &mut State, [inlet, outlet]: &[Value; OPENINGS]) -> Value {
-        let (p, a) = (state.get("airway pressure"), state.get("alveolar pressure"));
-        let drop = graph.sub(&p, &a);
-        let lung = self.conductance(graph, &drop);
-        let from_supply = graph.sub(&self.supply, &p);
-        let into = orifice(graph, &from_supply);
-        let into = graph.mul(inlet, &into);
-        let out = orifice(graph, &p);
-        let out = graph.mul(outlet, &out);
-        let kept = graph.mul(&self.keep, &p);
-        let supplied = graph.mul(&into, &self.supply);
-        let back = graph.mul(&lung, &a);
-        let flows = graph.sum_of(&[&kept, &supplied, &back]);
-        let conductances = graph.sum_of(&[&self.keep, &into, &out, &lung]);
-        let next = graph.div(&flows, &conductances);
-        let difference = graph.sub(&next, &a);
-        let rise = graph.mul(&self.rise, &lung);
-        let rise = graph.mul(&rise, &difference);
-        let alveolar = graph.add(&a, &rise);
-        state.set("alveolar pressure", alveolar);
-        state.set("airway pressure", next.clone());
-        next
+    let symbols = Symbols::new(graph);
+    let numbers = numbers.each_ref().map(|value| symbols.of(value));
+    let openings = openings.each_ref().map(|value| symbols.of(value));
+    let mut now = PIECES.map(|piece| symbols.of(&state.get(piece)));
+    let mut points = Vec::new();
+    for _ in 0..timing.points {
+        now = LungEquations::tick(numbers, now, openings);
+        points.push(now[0].value());
     }
-
-    /// Conductance of the resistor at a pressure drop, smoothed around zero.
-    fn conductance(&self, graph: &mut Builder, drop: &Value) -> Value {
-        let size = graph.mul(drop, drop);
-        let size = graph.shift(&size, ROUNDING * ROUNDING);
-        let size = graph.op("Sqrt", &[&size]);
-        conductance_graph(graph, [&self.linear, &self.linear_square, &self.square], &size)
+    for (piece, symbol) in PIECES.iter().zip(now) {
+        state.set(piece, symbol.value());
     }
-}
-
-/// Starts a breath: the share `left` of the last plateau is still in the lung.
-fn begin_lung(graph: &mut Builder, state: &mut State, block: &Block, left: f32) {
-    let fall = graph.sub(block.plateau(), block.pressure());
-    let left = graph.scale(&fall, left);
-    let alveolar = graph.add(block.pressure(), &left);
-    state.set_where(graph, &block.begins, "alveolar pressure", &alveolar);
-    state.set_where(graph, &block.begins, "airway pressure", block.pressure());
-}
-
-/// Conductance of a unit opening under a pressure drop.
-fn orifice(graph: &mut Builder, drop: &Value) -> Value {
-    let square = graph.mul(drop, drop);
-    let square = graph.shift(&square, 1.0);
-    let root = graph.op("Sqrt", &[&square]);
-    let root = graph.op("Sqrt", &[&root]);
-    graph.op("Reciprocal", &[&root])
+    points
 }

@@ -25,7 +25,7 @@ use std::ops::Range;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use self::lung::{LungTape, PHYSICS, Physics};
+use self::lung::{LungEquations, LungTrajectory, PHYSICS};
 use self::own::Own;
 use self::ventilator::{OPENINGS, VentilatorModel, VentilatorTape};
 use super::block::Block;
@@ -34,6 +34,7 @@ use super::episode::{Episode, whole_breaths};
 use super::fit_config::{BATCH, FitConfig};
 use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape};
 use super::shape::{ShapeError, members, widths};
+use super::trajectory::Trajectory;
 use super::{BreathStart, CommandLog, Members, Timing, piece, piece_mut};
 use crate::graph::state::State;
 use crate::graph::{Builder, Value};
@@ -194,7 +195,7 @@ impl Design for HybridConfig {
         let layout = self.layout();
         let mut parameters = vec![0.0; layout.mixing.end];
         parameters[layout.ventilator].copy_from_slice(&self.initialise_ventilator(rng));
-        parameters[layout.physics].copy_from_slice(&Physics::PLAIN);
+        parameters[layout.physics].copy_from_slice(&lung::PLAIN);
         parameters[layout.network].copy_from_slice(&self.network().initialise(LONGEST_REST_S, rng));
         parameters
     }
@@ -212,7 +213,7 @@ struct Hybrid {
 struct HybridModel {
     config: HybridConfig,
     ventilator: VentilatorModel,
-    physics: Physics,
+    physics: [f32; PHYSICS],
     deviations: Own,
     network: RecurrentNetwork,
     mixing: Own,
@@ -224,7 +225,7 @@ struct HybridTape {
     /// Group of each lane.
     group: Members,
     ventilator: VentilatorTape,
-    lung: LungTape,
+    lung: LungTrajectory,
     network: RecurrentTape,
     /// `e` of each lane.
     mixing: [Lane; MODES],
@@ -241,7 +242,7 @@ impl HybridModel {
         Self {
             config,
             ventilator: VentilatorModel::new(config, &parameters[layout.ventilator]),
-            physics: Physics::new(&config.timing, &parameters[layout.physics]),
+            physics: std::array::from_fn(|n| parameters[layout.physics.start + n]),
             deviations: Own::new(DEVIATIONS, &parameters[layout.deviations]),
             network: RecurrentNetwork::new(config.network(), &parameters[layout.network]),
             mixing: Own::new(MODES, &parameters[layout.mixing]),
@@ -256,7 +257,7 @@ impl Hybrid {
         let tape = HybridTape {
             group: [None; LANES],
             ventilator: model.ventilator.tape(blocks),
-            lung: Physics::tape(steps),
+            lung: Trajectory::new(LungEquations::new(&config.timing), steps),
             network: model.network.tape(blocks),
             mixing: [Lane::ZERO; MODES],
             d_mixing: [Lane::ZERO; MODES],
@@ -278,7 +279,7 @@ impl Dynamics for Hybrid {
         let [resistance, compliance, inlet, outlet] =
             std::array::from_fn(|n| model.deviations.lane(&start.group, n));
         model.ventilator.begin(&mut tape.ventilator, start, &[inlet, outlet]);
-        model.physics.begin(&mut tape.lung, start, &[resistance, compliance]);
+        tape.lung.begin(&lung::given(&model.physics, start, &[resistance, compliance]));
         model.network.begin(&mut tape.network, &start.known(), &[]);
         tape.mixing = std::array::from_fn(|n| model.mixing.lane(&start.group, n));
         tape.d_mixing.fill(Lane::ZERO);
@@ -291,7 +292,7 @@ impl Dynamics for Hybrid {
         model.network.step(&mut tape.network, block, log, modes);
         let first = block * points.len();
         for (n, (point, modes)) in points.iter_mut().zip(modes.chunks_exact(MODES)).enumerate() {
-            *point = tape.lung.step(first + n, &tape.ventilator.openings[block]);
+            [*point, _] = *tape.lung.step(first + n, &tape.ventilator.openings[block]);
             let mut rest = Lane::ZERO;
             for (e, y) in tape.mixing.iter().zip(modes) {
                 rest.add_scaled(1.0, &e.zip(y, |e, y| e * y));
@@ -307,7 +308,8 @@ impl Dynamics for Hybrid {
         let first = block * d_points.len();
         let mut d_openings = [Lane::ZERO; OPENINGS];
         for (n, d_point) in d_points.iter().enumerate().rev() {
-            tape.lung.step_back(first + n, &tape.ventilator.openings[block], d_point, &mut d_openings);
+            let d_inputs = tape.lung.step_back(first + n, 0, d_point);
+            d_openings = std::array::from_fn(|n| d_openings[n] + d_inputs[n]);
         }
         model.ventilator.step_back(&mut tape.ventilator, block, &d_openings, d_log);
 
@@ -326,7 +328,7 @@ impl Dynamics for Hybrid {
         let Self { model, tape } = self;
         let layout = model.config.layout();
         model.ventilator.finish(&tape.ventilator, &mut gradient[layout.ventilator]);
-        let [resistance, compliance] = Physics::finish(&tape.lung, &mut gradient[layout.physics]);
+        let [resistance, compliance] = lung::finish(&tape.lung, &mut gradient[layout.physics]);
         let [inlet, outlet] = tape.ventilator.d_stretch;
         for (n, d) in [resistance, compliance, inlet, outlet].iter().enumerate() {
             model.deviations.add_gradient(&tape.group, n, d, &mut gradient[layout.deviations.clone()]);
@@ -414,7 +416,7 @@ mod tests {
         for block in 0..blocks {
             model.step(block, &log, &mut points);
         }
-        (points[0], model.tape.lung.alveolar.zip(&compliance, |a, c| (a - 5.0) * c))
+        (points[0], model.tape.lung.state[1].zip(&compliance, |a, c| (a - 5.0) * c))
     }
 
     /// Pressures of a rollout with these parameters.

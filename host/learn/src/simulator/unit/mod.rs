@@ -10,7 +10,11 @@
 //! commands -> valve -> w               dead time, lag, play, dead zone, curve                 valve.rs
 //! w -> circuit, lung -> p -> sensor    supply, expiratory valve as it closes, leak, R, C      lung.rs
 //! ```
+//!
+//! Each equation is written once over a [`Number`]: on lanes it gives the pressures, on a tape their
+//! gradients, in a graph the exported file.
 
+mod equations;
 mod graph;
 mod lung;
 mod numbers;
@@ -21,15 +25,16 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use shared::settings::Settings;
 
-use self::lung::{LungLanes, LungTape};
+use self::equations::{GIVEN, INPUTS, NUMBERS, SENSED, STATE, UnitEquations};
 pub use self::numbers::{UnitNumbers, valve_flows};
-use self::valve::{ValveLanes, ValveTape};
 use super::block::Block;
 use super::design::{Design, Dynamics};
 use super::shape::{ShapeError, members, within};
-use super::{BreathStart, CommandLog, Members, Timing};
+use super::trajectory::Trajectory;
+use super::{BreathStart, COMMAND_SCALE, CommandLog, Members, Timing};
 use crate::graph::state::State;
 use crate::graph::{Builder, Value};
+use engine::number::Number;
 use engine::{LANES, Lane};
 
 /// Usual numbers of a unit, in the order of the parameters. Each parameter is the logarithm of its number.
@@ -55,8 +60,7 @@ const USUAL: [f32; PER_UNIT] = [
 pub const PER_UNIT: usize = 16;
 /// Number of parameters of the valve; those of the lung follow.
 const VALVE: usize = 7;
-/// Number of parameters of lung and circuit.
-const LUNG: usize = PER_UNIT - VALVE;
+const MS_PER_S: f32 = 1e3;
 
 /// Longest phase of a breath that a file may have, ms.
 const PHASE_MAX_MS: usize = 3_600_000;
@@ -136,8 +140,9 @@ impl Design for UnitConfig {
             parameters: parameters.to_vec(),
             machines: [None; LANES],
             lungs: [None; LANES],
-            valve: ValveTape::new(blocks),
-            lung: LungTape::new(blocks),
+            start: BreathStart::default(),
+            dead_time: [0; LANES],
+            trajectory: Trajectory::new(UnitEquations::new(self), blocks),
         })
     }
 
@@ -153,8 +158,15 @@ struct Units {
     parameters: Vec<f32>,
     machines: Members,
     lungs: Members,
-    valve: ValveTape,
-    lung: LungTape,
+    start: BreathStart,
+    /// Whole ticks of the dead time.
+    dead_time: [usize; LANES],
+    trajectory: Trajectory<UnitEquations, GIVEN, NUMBERS, STATE, INPUTS>,
+}
+
+/// Share of the way that is left after a tick, with this lag in ms.
+fn left_after<Q: Number>(lag: Q, tick_s: f32) -> Q {
+    (lag.constant(-MS_PER_S * tick_s) / lag).exp()
 }
 
 impl Units {
@@ -164,9 +176,27 @@ impl Units {
         if unit < self.config.units { unit * PER_UNIT } else { 0 }
     }
 
-    /// A number of the unit in each lane.
-    fn number(&self, members: &Members, n: usize) -> Lane {
-        Lane::from_fn(|l| self.parameters[self.first(members[l]) + n].exp())
+    /// A parameter of the unit in each lane.
+    fn parameter(&self, n: usize) -> Lane {
+        let members = if n < VALVE { &self.machines } else { &self.lungs };
+        Lane::from_fn(|l| self.parameters[self.first(members[l]) + n])
+    }
+
+    /// Starts the breath from commands at rest: after them for long enough, the actuator has reached its
+    /// command.
+    fn start(&mut self, rest: &Lane) {
+        let BreathStart { pressure, peep, plateau, .. } = self.start;
+        let known = [pressure, peep, plateau, rest.map(|command| COMMAND_SCALE * command)];
+        let given =
+            std::array::from_fn(|n| n.checked_sub(PER_UNIT).map_or_else(|| self.parameter(n), |n| known[n]));
+        self.dead_time =
+            self.trajectory.equations.dead_time(given[valve::DEAD_TIME]).0.map(|ticks| ticks as usize);
+        self.trajectory.begin(&given);
+    }
+
+    /// Block of the command that is older than a lane's dead time by `age`; none before the breath.
+    fn delayed(&self, block: usize, age: usize, l: usize) -> Option<usize> {
+        block.checked_sub(self.dead_time[l] + age)
     }
 }
 
@@ -178,30 +208,37 @@ impl Dynamics for Units {
     fn begin(&mut self, start: &BreathStart) {
         self.machines = start.ventilator;
         self.lungs = std::array::from_fn(|l| start.group[l].or(start.ventilator[l]));
-        let tick_s = self.config.timing.block_s();
-        let valve: [Lane; VALVE] = std::array::from_fn(|n| self.number(&self.machines, n));
-        let lung: [Lane; LUNG] = std::array::from_fn(|n| self.number(&self.lungs, VALVE + n));
-        self.valve.begin(&ValveLanes::new(&valve, tick_s));
-        let times = [self.config.inspiration_ms, self.config.expiration_ms].map(|ms| ms as f32 * 1e-3);
-        self.lung.begin(&LungLanes::new(&lung, tick_s, times), start);
+        self.start = *start;
     }
 
     fn step(&mut self, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        let opening = self.valve.step(block, log);
-        let ValveLanes { full_flow, supply, .. } = &self.valve.lanes;
-        points[0] = self.lung.step(block, &opening, full_flow, supply);
+        if block == 0 {
+            self.start(&log.block(None)[0]);
+        }
+        let mut commands = [Lane::ZERO; 2];
+        for (age, command) in commands.iter_mut().enumerate() {
+            for l in 0..LANES {
+                command[l] = COMMAND_SCALE * log.block(self.delayed(block, age, l))[0][l];
+            }
+        }
+        let [newer, older] = commands;
+        points[0] = self.trajectory.step(block, &[newer, older, self.start.peep])[SENSED];
     }
 
     fn step_back(&mut self, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
-        let ValveTape { lanes, openings, .. } = &self.valve;
-        let d = self.lung.step_back(block, &openings[block], &lanes.full_flow, &lanes.supply, &d_points[0]);
-        self.valve.step_back(block, &d, d_log);
+        let [newer, older, _] = self.trajectory.step_back(block, SENSED, &d_points[0]);
+        for (age, d) in [newer, older].iter().enumerate() {
+            for l in 0..LANES {
+                if let Some(at) = self.delayed(block, age, l) {
+                    d_log.block_mut(at)[0][l] += COMMAND_SCALE * d[l];
+                }
+            }
+        }
     }
 
     fn finish(&self, gradient: &mut [f32]) {
-        let valve = self.valve.gradient().map(|d| (d, &self.machines));
-        let lung = self.lung.gradient().map(|d| (d, &self.lungs));
-        for (n, (d, members)) in valve.into_iter().chain(lung).enumerate() {
+        for (n, d) in self.trajectory.gradient()[..PER_UNIT].iter().enumerate() {
+            let members = if n < VALVE { &self.machines } else { &self.lungs };
             for (l, member) in members.iter().enumerate() {
                 gradient[self.first(*member) + n] += d[l];
             }

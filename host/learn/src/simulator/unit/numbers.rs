@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{PER_UNIT, VALVE, lung, valve};
+use engine::Lane;
 
 /// Numbers of a unit that its maker or user knows. Pressures alone do not tell the scale of the flow: full flow, R, C and leak are
 /// those of a circuit with the usual compliance ([`super::spread::normalise`]). A circuit twice as compliant has twice the full flow,
@@ -47,8 +48,9 @@ impl UnitNumbers {
 /// # Panics
 /// With fewer parameters than one unit has.
 pub fn valve_flows(parameters: &[f32]) -> [f32; 4] {
-    let full = parameters[..PER_UNIT][valve::FULL_FLOW].exp();
-    [25.0, 50.0, 75.0, 100.0].map(|command| full * valve::opening(parameters, command))
+    let number = |n: usize| Lane::splat(parameters[..PER_UNIT][n].exp());
+    let [zone, exponent, full] = [valve::ZONE, valve::EXPONENT, valve::FULL_FLOW].map(number);
+    [25.0, 50.0, 75.0, 100.0].map(|command| (full * valve::opening(Lane::splat(command), zone, exponent))[0])
 }
 
 #[cfg(test)]

@@ -1,0 +1,82 @@
+//! The equations of a unit over a tick: its valve, and its lung behind the circuit.
+
+use engine::number::Number;
+
+use super::{PER_UNIT, UnitConfig, VALVE, lung, valve};
+use crate::simulator::trajectory::Equations;
+
+/// What is given for a breath: the logarithms of a unit's numbers; pressure, PEEP and the last plateau,
+/// cmH2O; the command at rest, percent.
+pub(super) const GIVEN: usize = PER_UNIT + KNOWN;
+const KNOWN: usize = 4;
+/// Numbers of a breath: those of [`valve::numbers`], full flow, supply, those of [`lung::numbers`].
+pub(super) const NUMBERS: usize = valve::NUMBERS + 2 + lung::NUMBERS;
+/// Pieces of the state: actuator, stem, expiratory opening, airway, alveolar and sensed pressure.
+pub(super) const STATE: usize = valve::STATE + lung::STATE;
+/// Place of the sensed pressure in the state.
+pub(super) const SENSED: usize = STATE - 1;
+/// Inputs of a tick: the newer and the older one of the commands around the dead time, percent, and PEEP,
+/// cmH2O.
+pub(super) const INPUTS: usize = 3;
+
+/// Times in the equations, s.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct UnitEquations {
+    tick: f32,
+    /// Inspiration and expiration.
+    phases: [f32; 2],
+}
+
+impl UnitEquations {
+    pub fn new(config: &UnitConfig) -> Self {
+        let phases = [config.inspiration_ms, config.expiration_ms].map(|ms| ms as f32 * 1e-3);
+        Self { tick: config.timing.block_s(), phases }
+    }
+
+    /// Dead time of a unit in ticks.
+    pub fn dead_time<Q: Number>(&self, logarithm: Q) -> Q {
+        valve::ticks(logarithm.exp(), self.tick)
+    }
+
+    /// The numbers of a breath.
+    pub fn numbers<Q: Number>(&self, unit: [Q; PER_UNIT]) -> [Q; NUMBERS] {
+        let [valve @ .., full_flow, supply, r, turbulence, c, leak, circuit, closing, orifice, sensor, _] =
+            unit;
+        let lung = [r, turbulence, c, leak, circuit, closing, orifice, sensor];
+        let (valve, lung) = (valve::numbers(valve, self.tick), lung::numbers(lung, self.tick));
+        let all = [&valve[..], &[full_flow, supply], &lung].concat();
+        std::array::from_fn(|n| all[n])
+    }
+
+    /// Share of the last plateau above PEEP that is still in the lung when a breath starts.
+    pub fn left<Q: Number>(&self, unit: &[Q; PER_UNIT]) -> Q {
+        let [r, c, outward] = [lung::RESISTANCE, lung::COMPLIANCE, lung::OUTWARD].map(|n| unit[VALVE + n]);
+        lung::left_in_lung(self.phases, [r, c, outward])
+    }
+
+    /// The state in which a breath starts: the valve at rest, the expiratory valve open, and this share left
+    /// in the lung. The valve was closed before, so the stem was last pushed open and follows without play.
+    pub fn start<Q: Number>(left: Q, [pressure, peep, plateau, rest]: [Q; KNOWN]) -> [Q; STATE] {
+        let alveolar = peep + (plateau - peep) * left;
+        [rest, rest, pressure.constant(1.0), pressure, alveolar, pressure]
+    }
+}
+
+impl Equations<GIVEN, NUMBERS, STATE, INPUTS> for UnitEquations {
+    fn begin<Q: Number>(&self, given: [Q; GIVEN]) -> ([Q; NUMBERS], [Q; STATE]) {
+        let [logarithms @ .., pressure, peep, plateau, rest] = given;
+        let unit = logarithms.map(Q::exp);
+        (self.numbers(unit), Self::start(self.left(&unit), [pressure, peep, plateau, rest]))
+    }
+
+    #[inline]
+    fn tick<Q: Number>(numbers: [Q; NUMBERS], before: [Q; STATE], inputs: [Q; INPUTS]) -> [Q; STATE] {
+        let [part, share, play, zone, exponent, full_flow, supply, lung @ ..] = numbers;
+        let [actuator, stem, lung_before @ ..] = before;
+        let [newer, older, peep] = inputs;
+        let valve = [part, share, play, zone, exponent];
+        let ([actuator, stem], opening) = valve::tick(valve, [actuator, stem], [newer, older]);
+        let [closing, p, a, sensed] = lung::tick(lung, lung_before, [full_flow * opening, supply, peep]);
+        [actuator, stem, closing, p, a, sensed]
+    }
+}
