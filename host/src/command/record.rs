@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn options_are_kept_with_their_defaults() {
-        let option = |name: &'static str| clap::Arg::new(name).long(name);
+        let option = |name: &'static str| Arg::new(name).long(name);
         let train = Command::new("train").args([
             option("out"),
             option("seed").default_value("1"),
