@@ -47,7 +47,7 @@ for name, scores in result["mean"].items():
     print(f"{name:8} error {scores['score']:.3f} cmH2O, overshoot {scores['overshoot']:.2f} cmH2O")
 
 # %%
-breath = {"lung": "R20C20", "breaths": 1, "pips": 25, "no_exploration": True, "seed": 7}
+breath = {"bench": "R20C20", "breaths": 1, "pips": 25, "exploration": "none", "seed": 7}
 curves = eupnea.collect(gains=gains, **breath).pandas()[["tick", "target", "pressure_true"]].set_axis(["tick", "target", "PID"], axis=1)
 curves["learned"] = eupnea.collect(controller=trained["controller"], **breath)["pressure_true"]
 curves[:500].plot("tick", xlabel="time, ms", ylabel="airway pressure, cmH2O", figsize=(7, 3))

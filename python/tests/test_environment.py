@@ -66,7 +66,7 @@ def test_a_plant_of_a_family_is_that_of_robust():
 
 def test_a_pid_gives_the_readings_of_collect_bit_for_bit(tmp_path):
     path = tmp_path / "recording.parquet"
-    recording = eupnea.collect(out=path, breaths=1, seed=7, no_exploration=True, gains=(3, 30))
+    recording = eupnea.collect(out=path, breaths=1, seed=7, exploration="none", gains=(3, 30))
     inspiration = recording["phase"] == 0
     environment = eupnea.PressureControl(hold=1, observation="plain", action="residual", gains=(3, 30))
     chosen = {"pip": float(recording["pip"][0]), "noise": noise_seeds("collect", 7)[0]}

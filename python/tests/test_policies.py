@@ -117,7 +117,7 @@ def test_a_learned_controller_learns_over_the_link_as_it_does_in_evaluate():
 def test_a_learned_controller_is_judged_almost_alike_where_its_commands_reach_the_end_of_the_valve():
     # The PID under a policy does not know of that, and the limit of the slew is relative to that PID.
     adult = eupnea.Controller.load("adult")
-    options = {"lung": "R5C50", "pips": [15], "breaths": 2, "breaths_of_learning": 3, "seed": 1}
+    options = {"bench": "R5C50", "pips": [15], "breaths": 2, "breaths_of_learning": 3, "seed": 1}
     found = eupnea.evaluate(policy=Known(adult), gains=adult.gains, **options)["mean"]["learned"]["score"]
     assert found == pytest.approx(eupnea.evaluate("adult", **options)["mean"]["learned"]["score"], rel=1e-3)
 
