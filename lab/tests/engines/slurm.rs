@@ -127,7 +127,7 @@ fn an_array_job_and_its_merge_equal_the_whole_run() {
 fn tasks_that_slurm_requeues_or_someone_kills_are_run_again_and_change_nothing() {
     let cluster = Cluster::start();
     let place = &cluster.place;
-    let long = COMMAND.replace("1200", "12000");
+    let long = COMMAND.replace("1200", "3600");
     let line = format!("submit slurm --shards 3 -- {long} --out run --json {}", merged(place).display());
     let submitted = place.command(&line).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     cluster.hold_attempt(1);
