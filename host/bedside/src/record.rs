@@ -82,11 +82,13 @@ impl Recorder {
         }
     }
 
-    /// Makes the writer hang, like a disk, until what is returned is dropped.
+    /// Makes the writer hang, like a disk, until what is returned is dropped. It has done all earlier jobs.
     #[cfg(test)]
-    pub fn hang(&self) -> std::sync::mpsc::Sender<()> {
-        let (goes_on, until) = std::sync::mpsc::channel();
+    pub fn hang(&self) -> std::sync::mpsc::SyncSender<()> {
+        let (goes_on, until) = std::sync::mpsc::sync_channel(0);
         self.writer.give(Job::Pause(until));
+        // Without a buffer, this waits until the writer receives.
+        goes_on.send(()).unwrap();
         goes_on
     }
 

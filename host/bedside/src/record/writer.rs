@@ -233,7 +233,7 @@ impl OpenFiles {
             Job::Close { which, notes } => self.close(which, notes),
             #[cfg(test)]
             Job::Pause(until) => {
-                let _ = until.recv();
+                while until.recv().is_ok() {}
                 None
             }
         }
