@@ -12,9 +12,9 @@ const HERE = dirname(fileURLToPath(import.meta.url));
 export const SHOTS = join(HERE, "shots");
 const CHROMIUM = [process.env.CHROMIUM, "/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find((path) => path && existsSync(path));
 /** Longest wait for a condition, ms. */
-export const LONG = 180_000;
+export const LONG = 600_000;
 /** Longest time of a test, ms. */
-export const WHOLE = 600_000;
+export const WHOLE = 1_800_000;
 
 export const SCREENS = {
   "1280x800": { viewport: { width: 1280, height: 800 } },
