@@ -73,6 +73,9 @@ type Perturbation = Option<(String, Value)>;
 
 /// Switches the perturbations off.
 const NONE: &str = "none";
+/// Names of the parameters that can be typed.
+const PARAMETERS: [&str; 5] =
+    ["boundary_probability", "boundary_height", "boundary_duration", "triangle_height", "triangle_duration"];
 
 /// Parses a parameter: `NAME=NUMBER` or `NAME=LOW:HIGH`.
 fn perturbation(typed: &str) -> Result<Perturbation, String> {
@@ -80,6 +83,9 @@ fn perturbation(typed: &str) -> Result<Perturbation, String> {
         return Ok(None);
     }
     let (name, value) = typed.split_once('=').ok_or("write NAME=VALUE, or none")?;
+    if !PARAMETERS.contains(&name) {
+        return Err(format!("there is no parameter {name}: choose from {}", PARAMETERS.join(", ")));
+    }
     let value = match value.parse::<f32>() {
         Ok(number) => json!(number),
         Err(_) => json!(range(value)?),
@@ -105,6 +111,9 @@ fn perturbations() -> String {
 
 impl ExplorationArgs {
     fn exploration(&self) -> anyhow::Result<Option<Exploration>> {
+        if self.exploration.len() > 1 && self.exploration.contains(&None) {
+            bail!("--exploration {NONE} leaves nothing to set: give it alone");
+        }
         let typed: Option<serde_json::Map<_, _>> = self.exploration.iter().cloned().collect();
         Ok(typed.map(|typed| serde_json::from_value(typed.into())).transpose()?)
     }
@@ -269,7 +278,11 @@ mod tests {
             ..Exploration::default()
         };
         assert_eq!(typed(&words), Ok(Some(expected)));
-        assert!(typed(&["height=1:2"]).unwrap_err().contains("boundary_probability"));
+        for unknown in ["height=1:2", "seed=5"] {
+            assert!(typed(&[unknown]).unwrap_err().contains("boundary_probability"), "{unknown}");
+        }
+        let both = ["none", "boundary_height=1:2"].map(|word| perturbation(word).unwrap());
+        assert!(ExplorationArgs { exploration: both.to_vec() }.exploration().is_err());
         assert!(typed(&["boundary_height=1"]).is_err() && typed(&["boundary_height"]).is_err());
     }
 }
