@@ -142,7 +142,7 @@ impl Workspace {
         Ok(part)
     }
 
-    /// Removes a part or, without a name, the whole folder, if it exists.
+    /// Removes a part, or a folder within, if it exists.
     ///
     /// # Errors
     /// The file system refuses.

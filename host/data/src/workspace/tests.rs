@@ -59,7 +59,9 @@ fn a_part_is_made_once_and_again_after_its_removal() {
     assert!(failed.is_err() && !folder.path("other.json").exists());
     folder.remove("part.json").unwrap();
     assert_eq!(keep(3), 3);
-    folder.remove("").unwrap();
-    folder.remove("").unwrap();
-    assert!(!folder.path("").exists());
+    let within = folder.folder("breaths");
+    within.save("0.json", &0).unwrap();
+    folder.remove("breaths").unwrap();
+    folder.remove("breaths").unwrap();
+    assert!(!within.path("").exists() && folder.path("part.json").exists(), "the others stay");
 }
