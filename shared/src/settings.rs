@@ -113,7 +113,7 @@ macro_rules! fields {
 }
 
 fields! {
-    pip,              "cmH2O", 5.0 ..= 50.0,  20.0, "Peak inspiratory pressure";
+    pip,              "cmH2O", 5.0 ..= 60.0,  20.0, "Peak inspiratory pressure";
     peep,             "cmH2O", 0.0 ..= 20.0,  5.0,  "Positive end-expiratory pressure";
     rate,             "1/min", 4.0 ..= 80.0,  20.0, "Breaths per minute";
     inspiratory_time, "s",     0.2 ..= 5.0,   1.0,  "Length of the inspiration";

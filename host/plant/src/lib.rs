@@ -1,13 +1,16 @@
 //! Plants: the ventilator's hardware and the lung, simulated or remote.
 //!
 //! A [`Plant`] is a lung with valves, circuit and sensor. [`mod@bench`] is the virtual bench, [`balloon`] the plant of the
-//! paper's authors, [`link`] a plant in another process, reached over a [`line`](mod@line).
+//! paper's authors, [`link`] a plant in another process, reached over a [`line`](mod@line). [`mod@prescriptions`] are what plants are
+//! ventilated with.
 #![forbid(unsafe_code)]
 
 pub mod balloon;
 pub mod bench;
 pub mod line;
 pub mod link;
+pub mod prescriptions;
+pub mod range;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

@@ -23,27 +23,23 @@
 //! `bench = "neonate"`, or the name of another lung, gives the values that the file leaves out; without it they are the defaults.
 //! `[pid]` and `[soft_pid]` are gains `p`, `i` and `d`: of the best single PID of the family, and of one that is stable on every plant.
 //!
-//! `pips` and `[settings]` are the waveforms on which the family's plants are judged; without them they are the paper's.
+//! `pips` and `[settings]` are the waveforms on which the family's plants are judged; without them they are the paper's. A table
+//! `[bedside]` describes what is set for the family's patients ([`Prescriptions`]).
 //!
 //! Each parameter is drawn by a generator of its own, from the seed, the plant's number and the parameter's name: a change of one
 //! range leaves all other draws as they were.
 
 use std::path::{Path, PathBuf};
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
-use rand_distr::{Distribution, StandardNormal, StandardUniform};
 use serde::{Deserialize, Serialize};
 use shared::breath::PAPER_PIPS;
-use shared::checksum::fnv;
 use shared::control::pid::PidGains;
 use shared::settings::{Settings, SettingsError};
 use toml::{Table, Value};
 
 use super::{BenchConfig, BenchError};
-
-/// Standard deviations to which a normal distribution is limited.
-const MOST_DEVIATIONS: f64 = 3.0;
+use crate::prescriptions::{Prescriptions, PrescriptionsError};
+use crate::range::{self, Range};
 
 /// The shipped families, by name.
 const SHIPPED: [(&str, &str); 2] =
@@ -90,49 +86,12 @@ pub enum FamilyError {
     /// The settings of a waveform are not allowed.
     #[error("a waveform of the family cannot be run: {0}")]
     Settings(#[from] SettingsError),
+    /// The prescriptions of the bedside are not valid.
+    #[error("bedside: {0}")]
+    Bedside(#[from] PrescriptionsError),
     /// The fixed values of the bench, or a value within a range, are not allowed.
     #[error(transparent)]
     Bench(#[from] BenchError),
-}
-
-/// Distribution of a parameter.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Range {
-    /// Lowest and highest of equally likely values.
-    Uniform(f64, f64),
-    /// Lowest and highest of values whose logarithms are equally likely.
-    LogUniform(f64, f64),
-    /// Mean and standard deviation; values further than three of these from the mean are moved there.
-    Normal(f64, f64),
-}
-
-impl Range {
-    /// Lowest and highest value; none for a range without any.
-    fn ends(self) -> Option<(f64, f64)> {
-        let (low, high) = match self {
-            Self::Uniform(low, high) => (low, high),
-            Self::LogUniform(low, high) => (if low > 0.0 { low } else { f64::NAN }, high),
-            Self::Normal(mean, sd) => (mean - MOST_DEVIATIONS * sd, mean + MOST_DEVIATIONS * sd),
-        };
-        (low <= high && high.is_finite() && low.is_finite()).then_some((low, high))
-    }
-
-    fn draw(self, rng: &mut ChaCha8Rng) -> f64 {
-        match self {
-            Self::Normal(mean, sd) => {
-                let deviations: f64 = StandardNormal.sample(rng);
-                mean + sd * deviations.clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
-            }
-            Self::Uniform(low, high) => low + share(rng) * (high - low),
-            Self::LogUniform(low, high) => low * (high / low).powf(share(rng)),
-        }
-    }
-}
-
-/// An equally likely number from 0 to 1.
-fn share(rng: &mut ChaCha8Rng) -> f64 {
-    StandardUniform.sample(rng)
 }
 
 /// A family of plants.
@@ -148,6 +107,8 @@ pub struct Family {
     pub pips: Vec<f32>,
     /// All other settings of the waveforms.
     pub settings: Settings,
+    /// What is set at the bedside of this family's patients.
+    pub bedside: Prescriptions,
     /// Description of a complete bench, with the values that do not vary.
     bench: Table,
     /// Path and range of every parameter that varies, such as `valve.lag_ms`.
@@ -188,6 +149,10 @@ impl Family {
         let soft_pid = table.remove("soft_pid").map(Value::try_into).transpose()?;
         let pips = table.remove("pips").map(Value::try_into).transpose()?;
         let settings = table.remove("settings").map(Value::try_into).transpose()?.unwrap_or_default();
+        let bedside = match table.remove("bedside") {
+            Some(Value::Table(drawn)) => Prescriptions::from_table(drawn)?,
+            _ => Prescriptions::find("bedside")?,
+        };
         let fixed = fixed(table)?;
         let bench = toml_of(&fixed);
         let mut ranges = Vec::new();
@@ -196,7 +161,7 @@ impl Family {
             return Err(FamilyError::Empty);
         }
         let pips = pips.unwrap_or_else(|| PAPER_PIPS.to_vec());
-        let family = Self { name: fixed.name, pid, soft_pid, pips, settings, bench, ranges };
+        let family = Self { name: fixed.name, pid, soft_pid, pips, settings, bedside, bench, ranges };
         family.check()?;
         Ok(family)
     }
@@ -226,6 +191,19 @@ impl Family {
         self.bench.clone().try_into().expect("the bench was checked")
     }
 
+    /// Prescriptions for the plants: `paper` are the family's waveforms, `bedside` those of its patients, and any other name is that of
+    /// a file.
+    ///
+    /// # Errors
+    /// See [`PrescriptionsError`].
+    pub fn prescriptions(&self, name: &str) -> Result<Prescriptions, PrescriptionsError> {
+        match name {
+            "paper" => Ok(Prescriptions::listed(name, &self.pips, self.settings)),
+            "bedside" => Ok(self.bedside.clone()),
+            file => Prescriptions::find(file),
+        }
+    }
+
     /// Settings of the waveform for the plant with this number: the waveforms take turns.
     pub fn waveform(&self, number: u32) -> Settings {
         Settings { pip: self.pips[number as usize % self.pips.len()], ..self.settings }
@@ -235,10 +213,8 @@ impl Family {
     pub fn draw(&self, seed: u64, number: u32) -> BenchConfig {
         let mut bench = self.bench.clone();
         for (path, range) in &self.ranges {
-            let words: Vec<u32> = path.bytes().map(u32::from).collect();
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            rng.set_stream(u64::from(fnv(&words)) << 32 | u64::from(number));
-            set(&mut bench, path, range.draw(&mut rng)).expect("the paths were checked");
+            let value = range.draw(&mut range::stream(seed, path, number));
+            set(&mut bench, path, value).expect("the paths were checked");
         }
         bench.insert("name".to_owned(), Value::String(format!("{}-{number}", self.name)));
         bench.try_into().expect("every value within the ranges is allowed")
