@@ -183,7 +183,7 @@ mod tests {
         let current = Settings::default();
         let refused =
             |changes: &[(&str, f32)]| request(&apply(changes), Some(&current)).unwrap_err().to_string();
-        assert!(refused(&[("pip", 90.0)]).starts_with("pip is 90 cmH2O, allowed are 5 to 50"));
+        assert!(refused(&[("pip", 90.0)]).starts_with("pip is 90 cmH2O, allowed are 5 to 60"));
         assert!(refused(&[("pip", f32::NAN)]).starts_with("pip is NaN"));
         assert!(refused(&[("pip", 6.0)]).contains("above PEEP"), "relations count too");
         assert_eq!(refused(&[("volume", 1.0)]), "there is no setting 'volume'");

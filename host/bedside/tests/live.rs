@@ -155,7 +155,7 @@ fn settings_are_shown_as_asked_and_as_applied() {
     page.state(0, |state| state["settings"]["pip"] == 26.0 && state["settings"]["rate"] == 15.0);
     let refused = page.ask(json!({"type": "apply", "device": 0, "settings": {"pip": 95}}));
     assert_eq!(refused["ok"], false);
-    assert!(refused["text"].as_str().unwrap().contains("allowed are 5 to 50"), "{refused}");
+    assert!(refused["text"].as_str().unwrap().contains("allowed are 5 to 60"), "{refused}");
     let state = page.state(0, |_| true);
     assert_eq!(state["settings"]["pip"], 26.0, "a refused setting changes nothing");
     let paused = page.ask(json!({"type": "pause_audio", "device": 0, "seconds": 121}));

@@ -21,7 +21,7 @@ fn settings_take_effect_at_the_breath_boundary_and_are_refused_with_the_reason()
     samples.until(&device, |sample| sample.tick >= 100);
     device.apply(paper_settings(30.0)).unwrap();
     let refused = device.apply(Settings { pip: 70.0, ..Settings::default() }).unwrap_err();
-    assert!(refused.to_string().contains("pip is 70 cmH2O, allowed are 5 to 50"), "{refused}");
+    assert!(refused.to_string().contains("pip is 70 cmH2O, allowed are 5 to 60"), "{refused}");
     samples.until(&device, |sample| sample.breath == 3);
     let inspiration = samples.all.iter().filter(|sample| sample.phase == Phase::Inspiration);
     let mut targets: BTreeMap<u32, Vec<f32>> = BTreeMap::new();
