@@ -32,7 +32,7 @@ def limit(value, low, high):
 
 
 class Controller:
-    SHAPE = (32, 32, 16, 1)
+    SHAPE = (36, 32, 16, 1)
 
     def __init__(self, spec, parameters):
         self.period = F(spec["period_us"]) * F(1e-6)
@@ -43,6 +43,7 @@ class Controller:
         self.error_factors = [lag_factor(tau, self.period) for tau in seen["error_averages"]]
         self.command_factors = [lag_factor(tau, self.period) for tau in seen["command_averages"]]
         self.times = [F(tau) for tau in seen["times"]]
+        self.target_ahead = seen["target_ahead"]
         self.layers, at = [], 0
         for inputs, outputs in zip(self.SHAPE, self.SHAPE[1:]):
             weights = parameters[at : at + inputs * outputs].reshape(outputs, inputs)
@@ -68,12 +69,13 @@ class Controller:
             values = sums / (F(1) + np.abs(sums)) if hidden else sums
         return values[0]
 
-    def features(self, pressure, target, pip, peep):
+    def features(self, pressure, target, pip, peep, rise_ticks):
         error = (target - pressure) / F(10)
         self.errors.append(error)
         self.error_averages = averaged(self.error_averages, self.error_factors, error)
         ago = lambda past, age, first: past[self.tick - age] if age <= self.tick else first
         time = F(self.tick) * self.period
+        now = rising(pip, peep, rise_ticks, self.tick)
         return [
             *(ago(self.errors, age, F(0)) for age in self.error_taps),
             *(ago(self.commands, age, self.before) for age in self.command_taps),
@@ -83,11 +85,14 @@ class Controller:
             *(time / (time + tau) for tau in self.times),
             (pip - F(20)) / F(15),
             (peep - F(5)) / F(5),
+            *((rising(pip, peep, rise_ticks, self.tick + ahead) - now) / F(10) for ahead in self.target_ahead),
+            (pip - target) / F(10),
         ]
 
-    def command(self, pressure, target, pip, peep):
+    def command(self, pressure, target, pip, peep, rise_ticks):
         """The command of one tick, percent."""
-        output = self.network(self.features(pressure, target, pip, peep) + self.memory.recall(self.tick))
+        features = self.features(pressure, target, pip, peep, rise_ticks)
+        output = self.network(features + self.memory.recall(self.tick))
         residual = limit(self.reach * output, -self.authority, self.authority)
         error = target - pressure
         change = F(0) if self.last is None else pressure - self.last
@@ -107,15 +112,31 @@ class Controller:
         self.tick += 1
 
 
+def rising(pip, peep, rise_ticks, tick):
+    """Target at a tick of an inspiration without end."""
+    return peep + (pip - peep) * (F(tick) / F(rise_ticks)) if tick < rise_ticks else pip
+
+
 class Memory:
     """What earlier breaths have taught: error and command, averaged over bins."""
 
-    BINS, LEAST_BINS, LEARNING = 128, 8, 4
+    SECTIONS = ((64, 1), (32, 2), (32, 16))  # number of bins, and their width in shortest bins
+    LEAST_BINS, LEARNING = 8, 4
     ERRORS_AHEAD, COMMANDS_AHEAD = (1, 3, 5, 7, 10), (0, 3)
     SURPRISE = F(0.05)
 
     def __init__(self, period_us):
         self.ticks = max(1, int(0.008e6 / period_us + 0.5))
+        self.widths = [width for bins, width in self.SECTIONS for _ in range(bins)]
+        self.pieces, start = [], 0
+        for bins, width in self.SECTIONS:
+            first, bin = F(start + 0.5 * (width - 1)), sum(n for n, w in self.SECTIONS if w < width)
+            if self.pieces:
+                last, number, rate = self.pieces[-1]
+                last += F(bin - 1 - number) / rate
+                self.pieces.append((last, bin - 1, F(1) / (first - last)))
+            self.pieces.append((first, bin, F(1) / F(width)))
+            start += bins * width
         self.forget()
         self.start()
 
@@ -131,13 +152,14 @@ class Memory:
         """Records a tick of the inspiration."""
         self.sums = [self.sums[0] + error, self.sums[1] + command]
         self.filled += 1
-        if self.filled == self.ticks:
-            self.fill([F(1) / F(self.ticks) * value for value in self.sums])
+        ticks = self.ticks * self.widths[min(len(self.running), len(self.widths) - 1)]
+        if self.filled == ticks:
+            self.fill([F(1) / F(ticks) * value for value in self.sums])
             self.sums, self.filled = [F(0), F(0)], 0
 
     def fill(self, new):
         place = len(self.running)
-        if place == self.BINS:
+        if place == len(self.widths):
             return
         if place < len(self.mean):
             old = self.mean[place]
@@ -161,12 +183,15 @@ class Memory:
         """What is recalled at a tick of the inspiration."""
         if not self.mean:
             return [F(0)] * (len(self.ERRORS_AHEAD) + len(self.COMMANDS_AHEAD) + 1)
-        since = max(tick - self.ticks // 2, 0)
-        share = F(since % self.ticks) / F(self.ticks)
+        now = F(max(tick - self.ticks // 2, 0)) / F(self.ticks)
 
         def at(ahead, signal):
-            first, second = (self.mean[min(since // self.ticks + ahead + n, len(self.mean) - 1)][signal] for n in (0, 1))
-            return first + share * (second - first)
+            time = now + F(ahead)
+            middle, bin, rate = [piece for piece in self.pieces if time >= piece[0]][-1]
+            bins = (time - middle) * rate
+            place = bin + int(bins)
+            first, second = (self.mean[min(place + n, len(self.mean) - 1)][signal] for n in (0, 1))
+            return first + (bins - F(int(bins))) * (second - first)
 
         errors = [at(ahead, 0) for ahead in self.ERRORS_AHEAD]
         return errors + [at(ahead, 1) for ahead in self.COMMANDS_AHEAD] + [F(1)]
@@ -184,8 +209,10 @@ def replayed(controller, recording):
         if settings != before:
             controller.memory.forget()
         controller.start_breath(command)
-        for row in breath[breath.phase == 0].itertuples():
-            wanted = controller.command(F(row.pressure), F(row.target), F(row.pip), F(row.peep))
+        inspiration = breath[breath.phase == 0]
+        rise_ticks = int((inspiration.target < inspiration.pip).sum())
+        for row in inspiration.itertuples():
+            wanted = controller.command(F(row.pressure), F(row.target), F(row.pip), F(row.peep), rise_ticks)
             worst, ticks = max(worst, abs(float(wanted) - row.u_in)), ticks + 1
             controller.applied(F(row.u_in))
         controller.memory.adopt()
@@ -201,7 +228,8 @@ def exercised(controller):
         controller.start_breath(5)
         for tick in range(ticks):
             error = F(0.5) * F(7 * tick % 16) - F(2)
-            command = controller.command(F(25) - error, F(25), F(25), F(8))
+            target = rising(F(25), F(8), 64, tick)
+            command = controller.command(target - error, target, F(25), F(8), 64)
             controller.applied(command)
             commands += struct.pack("<f", command)
         controller.memory.adopt()
@@ -226,7 +254,7 @@ def main(recording_path, simulator_path, controller_path, image_path=None):
     if image_path:
         with open(image_path, "rb") as file:
             image = file.read()
-        golden = image[114:118], struct.unpack("<I", image[118:122])[0]
+        golden = image[117:121], struct.unpack("<I", image[121:125])[0]
         if exercised(controller) != golden:
             sys.exit("the exercise gives other bits than the weights image; pack the image from this controller")
         print("weights image: all commands of its exercise are the same, bit for bit")

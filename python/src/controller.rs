@@ -9,6 +9,7 @@ use pyo3::prelude::*;
 use shared::control::memory::Lesson;
 use shared::control::pid::Pid;
 use shared::control::{ControlLaw, ControllerState, Observation};
+use shared::math::ticks;
 use shared::weights::decode;
 
 use crate::{errors, values};
@@ -130,26 +131,30 @@ impl Controller {
         Ok(())
     }
 
-    /// One tick of an inspiration; `applied` is the command that the valve had in the tick before. Returns the command in percent.
-    #[pyo3(signature = (pressure, target, *, pip=None, peep=None, applied=None))]
+    /// One tick of an inspiration whose target rises from PEEP to PIP within `rise_time`, s; `applied` is the command that the valve had
+    /// in the tick before. Returns the command in percent.
+    #[pyo3(signature = (pressure, target, *, pip=None, peep=None, rise_time=0.0, applied=None))]
     fn step(
         &mut self,
         pressure: f32,
         target: f32,
         pip: Option<f32>,
         peep: Option<f32>,
+        rise_time: f32,
         applied: Option<f32>,
     ) -> f32 {
         self.end_tick(applied);
         let peep = peep.unwrap_or(shared::settings::Settings::default().peep);
-        let seen = Observation { pressure, target, pip: pip.unwrap_or(target), peep, tick: self.tick };
+        let rise_ticks = ticks(rise_time, self.period_us);
+        let seen =
+            Observation { pressure, target, pip: pip.unwrap_or(target), peep, tick: self.tick, rise_ticks };
         let command = self.law.step(&mut self.state, &seen).command;
         (self.pending, self.tick) = (Some(command), self.tick.saturating_add(1));
         command
     }
 
     /// A tick for each pressure and target; returns the commands in percent.
-    #[pyo3(signature = (pressures, targets, *, pip=None, peep=None))]
+    #[pyo3(signature = (pressures, targets, *, pip=None, peep=None, rise_time=0.0))]
     fn __call__<'py>(
         &mut self,
         py: Python<'py>,
@@ -157,13 +162,14 @@ impl Controller {
         targets: Vec<f32>,
         pip: Option<f32>,
         peep: Option<f32>,
+        rise_time: f32,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
         if pressures.len() != targets.len() {
             return Err(errors::value("pressures and targets need the same length"));
         }
         let ticks = pressures.into_iter().zip(targets);
         let commands: Vec<f32> =
-            ticks.map(|(pressure, target)| self.step(pressure, target, pip, peep, None)).collect();
+            ticks.map(|(pressure, target)| self.step(pressure, target, pip, peep, rise_time, None)).collect();
         Ok(PyArray1::from_vec(py, commands))
     }
 

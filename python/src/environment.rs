@@ -136,7 +136,9 @@ impl Observer {
         self.stream.start_breath(command);
     }
 
-    /// Observes a tick of an inspiration.
+    /// Observes a tick of an inspiration whose target rises to PIP within `rise_ticks`.
+    #[pyo3(signature = (pressure, target, pip, peep, tick, rise_ticks=0))]
+    #[expect(clippy::too_many_arguments, reason = "they are the columns of an observation")]
     fn see<'py>(
         &mut self,
         py: Python<'py>,
@@ -145,8 +147,10 @@ impl Observer {
         pip: f32,
         peep: f32,
         #[pyo3(from_py_with = values::whole)] tick: u32,
+        #[pyo3(from_py_with = values::whole)] rise_ticks: u32,
     ) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.stream.see(&Observation { pressure, target, pip, peep, tick }))
+        let seen = Observation { pressure, target, pip, peep, tick, rise_ticks };
+        PyArray1::from_slice(py, self.stream.see(&seen))
     }
 
     /// Records the command applied in the tick, percent.

@@ -76,6 +76,11 @@ impl Breath {
         self.inspiration_ticks
     }
 
+    /// Length of the rise from PEEP to PIP, ticks.
+    pub fn rise_ticks(&self) -> u32 {
+        self.rise_ticks
+    }
+
     /// Length of the whole breath, ticks.
     pub fn total_ticks(&self) -> u32 {
         self.total_ticks
@@ -102,10 +107,7 @@ impl Breath {
     pub fn target(&self, tick: u32) -> f32 {
         let Settings { pip, peep, .. } = self.settings;
         match self.phase(tick) {
-            Phase::Inspiration if tick < self.rise_ticks => {
-                peep + (pip - peep) * (tick as f32 / self.rise_ticks as f32)
-            }
-            Phase::Inspiration => pip,
+            Phase::Inspiration => rising(pip, peep, self.rise_ticks, tick),
             Phase::Fall => {
                 let done = (tick - self.inspiration_ticks) as f32 / self.fall_ticks as f32;
                 pip + (peep - pip) * done
@@ -157,6 +159,12 @@ impl<'a> Moment<'a> {
     pub fn target(&self) -> f32 {
         self.breath.target(self.tick)
     }
+}
+
+/// Target pressure at a tick of an inspiration without end, whose rise to PIP takes this many ticks, cmH2O.
+#[inline]
+pub fn rising(pip: f32, peep: f32, rise_ticks: u32, tick: u32) -> f32 {
+    if tick < rise_ticks { peep + (pip - peep) * (tick as f32 / rise_ticks as f32) } else { pip }
 }
 
 /// A control period in seconds.

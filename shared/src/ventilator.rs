@@ -353,7 +353,8 @@ impl<C: ControlLaw> Ventilator<C> {
         let Belief { moment, pressure, pip_shift, .. } = *belief;
         let settings = moment.settings();
         let (pip, peep, tick) = (settings.pip + pip_shift, settings.peep, moment.tick);
-        let seen = Observation { pressure, target, pip, peep, tick };
+        let rise_ticks = moment.breath.rise_ticks();
+        let seen = Observation { pressure, target, pip, peep, tick, rise_ticks };
         // In every tick, so that it has no start of its own when its turn comes.
         let spare = self.spare.step(&mut state.spare, &seen, 0.0);
         match belief.level {

@@ -150,7 +150,7 @@ fn parts(counting: &Cost) {
         let counts = Counts { airway: 2500 + run as u16, outlet: 2510, flow: 2100 };
         black_box(sensor.of(|| Readings::from(black_box(counts))));
         let pressure = 15.0 + 5.0 * numbers.next();
-        let seen = Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick: run };
+        let seen = Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick: run, rise_ticks: 0 };
         let seen_features =
             features.of(|| residual.features().step(&mut feature_state, black_box(&seen), 30.0));
         let mut input = [0.0; INPUTS];

@@ -84,10 +84,12 @@ impl Layers {
         &gradients[0]
     }
 
-    /// Adds the gradient with respect to the parameters over all steps.
-    pub fn finish(&self, tape: &LayersTape, gradient: &mut [f32]) {
+    /// Adds the gradient with respect to the parameters over the first `steps` steps.
+    pub fn finish(&self, tape: &LayersTape, steps: usize, gradient: &mut [f32]) {
         for (n, layer) in self.layers.iter().enumerate() {
-            layer.shape().gradient(&tape.gradients[n + 1], &tape.values[n], gradient);
+            let DenseLayer { inputs, outputs, .. } = *layer.shape();
+            let (dy, x) = (&tape.gradients[n + 1][..steps * outputs], &tape.values[n][..steps * inputs]);
+            layer.shape().gradient(dy, x, gradient);
         }
     }
 }

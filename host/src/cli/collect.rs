@@ -194,6 +194,7 @@ fn config(args: &Args) -> anyhow::Result<CollectConfig> {
         pips: args.pips.clone(),
         pip_range: args.pip_range,
         settings: args.settings.checked(&args.pips)?,
+        prescriptions: None,
         exploration: args.exploration.exploration()?,
         aborts: args.aborts,
         seed: seeds::collection(args.seed, 0),

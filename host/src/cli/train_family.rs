@@ -26,6 +26,9 @@ pub struct Args {
     /// Family of plants: a shipped one, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
     family: String,
+    /// What to train for: the family's waveforms (paper), all that is set at the bedside, or a TOML file
+    #[arg(long, value_name = "NAME|FILE", default_value = "bedside")]
+    prescriptions: String,
     /// Units to record and train on; a quarter as many validate
     #[arg(long, value_name = "N", default_value_t = FamilyRun::default().units, value_parser = clap::value_parser!(u32).range(4..))]
     units: u32,
@@ -65,7 +68,7 @@ impl Command for Args {
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
         let family = Family::find(&self.family)?;
         let folder = Workspace::new(&self.result.out);
-        let config = self.config(&family);
+        let config = self.config(&family)?;
         let trained = context.progress(|progress| config.run(&family, Some(&folder), progress))?;
         let summary = self.result.saved(&trained, Vec::new(), context)?;
         summary.show("validation units, geometric mean over the first breaths", context);
@@ -90,13 +93,14 @@ fn share(text: &str) -> Result<f32, String> {
 }
 
 impl Args {
-    fn config(&self, family: &Family) -> FamilyRun {
+    fn config(&self, family: &Family) -> anyhow::Result<FamilyRun> {
+        let prescriptions = family.prescriptions(&self.prescriptions)?;
         let mut config = FamilyRun {
             seed: self.result.seed,
             units: self.units,
             held_out: self.units.div_ceil(4),
             collector: self.collector,
-            ..FamilyRun::of(family)
+            ..FamilyRun::of(family, &prescriptions)
         };
         config.gains = self.gains.unwrap_or(config.gains);
         config.train.iterations = self.iterations;
@@ -104,6 +108,6 @@ impl Args {
         config.train.effort_price = self.effort_price;
         config.train.ripple = self.ripple;
         config.train.pressure_ripple_share = self.pressure_ripple_share;
-        config
+        Ok(config)
     }
 }

@@ -15,6 +15,7 @@ use thiserror::Error;
 use crate::{Source, SourceError, Tick};
 use data::provenance::Provenance;
 use data::recording::{DatasetError, Extra, Recording, Row, phase_number};
+use plant::prescriptions::Prescriptions;
 use progress::{Progress, Stage};
 
 /// Recording: complete breaths.
@@ -22,6 +23,11 @@ pub const COLLECT: Stage = Stage("collect breaths");
 
 /// Columns that only a bench fills; unused ones are removed at the end.
 const TRUTH: [Extra; 2] = [Extra::PressureTrue, Extra::PressureSensorTrue];
+
+/// Breaths with the same drawn prescription: a lung that empties slowly needs some until its breaths repeat.
+pub const IN_A_ROW: usize = 4;
+/// Lowest pressure limit of a drawn prescription, cmH2O: perturbations go further above PIP than a patient's limit allows.
+const LIMIT: f32 = 60.0;
 
 /// Configuration of a collection.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,6 +41,9 @@ pub struct CollectConfig {
     pub pip_range: (f32, f32),
     /// Template of all settings except PIP.
     pub settings: Settings,
+    /// Prescriptions to draw in place of these PIPs and settings, each for [`IN_A_ROW`] breaths.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub prescriptions: Option<Prescriptions>,
     /// Perturbations; `None` records the controller alone.
     pub exploration: Option<Exploration>,
     /// Number of breaths ended by the pressure limit after which collection gives up.
@@ -50,6 +59,7 @@ impl Default for CollectConfig {
             pips: PAPER_PIPS.to_vec(),
             pip_range: (8.0, 37.0),
             settings: Settings::default(),
+            prescriptions: None,
             exploration: Some(Exploration::default()),
             aborts: 20,
             seed: 0,
@@ -249,6 +259,11 @@ fn check(config: &CollectConfig) -> Result<(), CollectError> {
 
 /// Settings of every breath. A breath ended by the pressure limit is repeated.
 fn plan(config: &CollectConfig) -> Vec<Settings> {
+    if let Some(prescriptions) = &config.prescriptions {
+        let drawn = |breath: usize| prescriptions.draw(config.seed, (breath / IN_A_ROW) as u32);
+        let roomy = |drawn: Settings| Settings { pressure_limit: drawn.pressure_limit.max(LIMIT), ..drawn };
+        return (0..config.breaths).map(|breath| roomy(drawn(breath))).collect();
+    }
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     (0..config.breaths)
         .map(|breath| Settings { pip: pip(config, breath, &mut rng), ..config.settings })

@@ -235,7 +235,9 @@ impl Running {
         let Some(breathing) = self.source.breathing() else { return };
         let pressure = breathing.reading().pressure;
         let Settings { pip, peep, .. } = self.draw.settings;
-        let seen = Observation { pressure, target: self.breath.target(tick), pip, peep, tick };
+        let rise_ticks = self.breath.rise_ticks();
+        let target = self.breath.target(tick);
+        let seen = Observation { pressure, target, pip, peep, tick, rise_ticks };
         task.observer.see(memory, &seen);
     }
 

@@ -155,7 +155,7 @@ impl Observer {
                 memory.seen[..ERRORS].copy_from_slice(&averages);
             }
             Self::Plain { period_s } => {
-                let Observation { pressure, target, pip, peep, tick } = *seen;
+                let Observation { pressure, target, pip, peep, tick, .. } = *seen;
                 let time = tick as f32 * period_s;
                 memory.seen[..PLAIN].copy_from_slice(&[pressure, target, pip, peep, memory.command, time]);
             }

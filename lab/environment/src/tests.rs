@@ -150,7 +150,9 @@ fn errors_of_the_authors_are_as_far_apart_as_in_their_controller() {
     stream.start_breath(0.0);
     let see = |stream: &mut ObservationStream, tick: u32| {
         let pressure = if tick == 0 { 10.0 } else { 20.0 };
-        stream.see(&Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick }).to_vec()
+        stream
+            .see(&Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick, rise_ticks: 0 })
+            .to_vec()
     };
     let seen: Vec<_> = (0..4).map(|tick| see(&mut stream, tick)).collect();
     let mut errors = [0.0; 10];

@@ -118,7 +118,7 @@ mod tests {
     }
 
     fn seen(tick: u32) -> Observation {
-        Observation { pressure: 20.0, target: 20.0, pip: 20.0, peep: 5.0, tick }
+        Observation { pressure: 20.0, target: 20.0, pip: 20.0, peep: 5.0, tick, rise_ticks: 0 }
     }
 
     #[test]

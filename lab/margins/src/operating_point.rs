@@ -67,7 +67,7 @@ impl OperatingPoint {
         let before_ml = bench.truth().lung_volume_ml;
         let ticks = (f64::from(settings.inspiratory_time) * 1e6 / f64::from(DEFAULT_PERIOD_US)) as u32;
         for tick in 0..ticks {
-            let seen = Observation { pressure, target: pip, pip, peep: settings.peep, tick };
+            let seen = Observation { pressure, target: pip, pip, peep: settings.peep, tick, rise_ticks: 0 };
             pressure = bench.step(pid.step(&mut state, &seen, 0.0).command, false);
         }
         let taken_ml = bench.truth().lung_volume_ml - before_ml;
@@ -90,7 +90,7 @@ impl OperatingPoint {
     /// What a law sees at this point.
     pub fn observation(&self) -> Observation {
         let peep = paper_settings(self.pip).peep;
-        Observation { pressure: peep, target: self.pip, pip: self.pip, peep, tick: 0 }
+        Observation { pressure: peep, target: self.pip, pip: self.pip, peep, tick: 0, rise_ticks: 0 }
     }
 }
 

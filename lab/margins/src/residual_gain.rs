@@ -123,8 +123,7 @@ fn states(
         for tick in 0..breath.total_ticks() {
             let inspiration = breath.phase(tick) == Phase::Inspiration;
             command = if inspiration {
-                let seen =
-                    Observation { pressure, target: breath.target(tick), pip, peep: settings.peep, tick };
+                let seen = Observation::at(&breath.at(tick), pressure);
                 if tick % EVERY == 0 {
                     states.push(residual.inputs(&mut state.clone(), &seen));
                 }
@@ -268,7 +267,14 @@ mod tests {
         let (mut error, mut extra) = (Complex64::default(), Complex64::default());
         for tick in 0..8000 {
             let wave = angle(tick).sin() as f32;
-            let seen = Observation { pressure: 20.0 - wave, target: 20.0, pip: 20.0, peep: 5.0, tick };
+            let seen = Observation {
+                pressure: 20.0 - wave,
+                target: 20.0,
+                pip: 20.0,
+                peep: 5.0,
+                tick,
+                rise_ticks: 0,
+            };
             let features = residual.features().step(&mut past, &seen, state.integral);
             let inputs = with_recalled(&features, &[0.0; RECALLED]);
             let correction = residual.correction(residual.network().forward(&inputs));

@@ -106,7 +106,7 @@ fn measured<P: Process>(
     plant: P,
     sweep: &Sweep,
 ) -> (Vec<ResponsePoint>, f64) {
-    let seen = Observation { pressure: 0.0, target: 20.0, pip: 20.0, peep: 0.0, tick: 0 };
+    let seen = Observation { pressure: 0.0, target: 20.0, pip: 20.0, peep: 0.0, tick: 0, rise_ticks: 0 };
     let control = Loop { law, seen, period_us: DEFAULT_PERIOD_US, held_tick: 500 };
     let (rest, sd) = control.settle(plant, 5.0);
     assert!(sd < 0.01, "{sd}");
@@ -134,7 +134,7 @@ fn a_delay_as_long_as_the_margin_makes_the_known_loop_oscillate() {
     let pid = pid(2.0, 25.0, 0.0);
     let margin = by_formula(&LagPlant::new(0.5, 0.1, 40), &pid).delay_margin_ms.unwrap();
     let law = Controller::Pid(pid);
-    let seen = Observation { pressure: 0.0, target: 20.0, pip: 20.0, peep: 0.0, tick: 0 };
+    let seen = Observation { pressure: 0.0, target: 20.0, pip: 20.0, peep: 0.0, tick: 0, rise_ticks: 0 };
     let control = Loop { law: &law, seen, period_us: DEFAULT_PERIOD_US, held_tick: 500 };
     let rest_sd = |more: f64| control.settle(LagPlant::new(0.5, 0.1, 40 + more as usize), 20.0).1;
     assert!(rest_sd(0.7 * margin) < 0.3);

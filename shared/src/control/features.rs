@@ -1,5 +1,5 @@
 //! The inputs of the residual's network: recent errors and commands, leaky averages of both, the time since the
-//! breath started, and PIP and PEEP, each scaled to about one.
+//! breath started, PIP and PEEP, and where the target goes, each scaled to about one.
 //!
 //! | index | feature |
 //! |---|---|
@@ -11,6 +11,10 @@
 //! | 19..22 | time since the start of the breath: `t / (t + tau)` for three `tau` |
 //! | 22 | PIP |
 //! | 23 | PEEP |
+//! | 24..27 | rise of the target within [`FeatureSpec::target_ahead`] ticks |
+//! | 27 | PIP above the target |
+//!
+//! A breath knows its own future: the last group lets the valve, which acts late, move in time with a slow rise.
 
 use core::ops::Range;
 
@@ -39,8 +43,14 @@ pub const LEAKY: Range<usize> = PAST_COMMANDS.end..PAST_COMMANDS.end + 2 * AVERA
 pub const INTEGRAL: usize = LEAKY.end;
 /// Indices of the time features.
 pub const CLOCK: Range<usize> = INTEGRAL + 1..INTEGRAL + 1 + TIMES;
-/// Length of the feature vector; PIP and PEEP follow the time features.
-pub const FEATURES: usize = CLOCK.end + 2;
+/// Number of times ahead at which the target is seen.
+pub const AHEAD: usize = 3;
+/// Index of PIP; PEEP follows.
+pub const PIP: usize = CLOCK.end;
+/// Indices of the rise of the target; PIP above the target follows.
+pub const RISE: Range<usize> = PIP + 2..PIP + 2 + AHEAD;
+/// Length of the feature vector.
+pub const FEATURES: usize = RISE.end + 1;
 /// Highest age of a tap, ticks.
 pub const TAP_MAX: u8 = (HISTORY - 1) as u8;
 
@@ -70,6 +80,8 @@ pub struct FeatureSpec {
     pub command_averages: [f32; AVERAGES],
     /// Time constants of the time features, s.
     pub times: [f32; TIMES],
+    /// Ticks ahead at which the target is seen: about the dead time and lag of a valve.
+    pub target_ahead: [u8; AHEAD],
 }
 
 impl Default for FeatureSpec {
@@ -81,6 +93,7 @@ impl Default for FeatureSpec {
             error_averages: [0.02, 0.1],
             command_averages: [0.05, 0.3],
             times: [0.02, 0.1, 0.5],
+            target_ahead: [10, 20, 40],
         }
     }
 }
@@ -103,7 +116,12 @@ impl FeatureSpec {
         if period_us <= 2000 {
             return spec;
         }
-        Self { error_taps: [0, 1, 2, 3, 4, 5, 6, 8], command_taps: [1, 2, 3, 4, 5, 6], ..spec }
+        Self {
+            error_taps: [0, 1, 2, 3, 4, 5, 6, 8],
+            command_taps: [1, 2, 3, 4, 5, 6],
+            target_ahead: [1, 2, 4],
+            ..spec
+        }
     }
 
     /// Checks taps and time constants.
@@ -253,10 +271,12 @@ impl Features {
         put(&state.errors.averages);
         put(&state.commands.averages);
         put(&self.clocked(seen, integral));
+        put(&self.spec.target_ahead.map(|ticks| seen.rise_within(u32::from(ticks)) / ERROR_SCALE));
+        put(&[(seen.pip - seen.target) / ERROR_SCALE]);
         features
     }
 
-    /// Features that need no history: integral, times, PIP, PEEP.
+    /// Features that need neither history nor future: integral, times, PIP, PEEP.
     fn clocked(&self, seen: &Observation, integral: f32) -> [f32; 3 + TIMES] {
         let times = self.times(seen.tick);
         [
@@ -296,11 +316,12 @@ mod tests {
     fn the_parts_of_the_vector_follow_each_other_without_a_gap() {
         assert_eq!((PAST_ERRORS.start, PAST_ERRORS.end), (0, PAST_COMMANDS.start));
         assert_eq!((PAST_COMMANDS.end, LEAKY.end), (LEAKY.start, INTEGRAL));
-        assert_eq!((CLOCK.start, CLOCK.len(), CLOCK.end), (INTEGRAL + 1, TIMES, FEATURES - 2));
+        assert_eq!((CLOCK.start, CLOCK.len(), CLOCK.end), (INTEGRAL + 1, TIMES, PIP));
+        assert_eq!((RISE.start, RISE.len(), RISE.end), (PIP + 2, AHEAD, FEATURES - 1));
     }
 
     fn seen(error: f32, tick: u32) -> Observation {
-        Observation { pressure: 20.0 - error, target: 20.0, pip: 20.0, peep: 5.0, tick }
+        Observation { pressure: 20.0 - error, target: 20.0, pip: 20.0, peep: 5.0, tick, rise_ticks: 0 }
     }
 
     /// Runs `n` ticks with error = tick and command = 2 x tick; returns the last tick's features.
@@ -396,6 +417,26 @@ mod tests {
         for (factor, lag) in errors.iter().chain(commands).zip([0.02_f32, 0.1, 0.05, 0.3]) {
             assert!((factor - 0.001 / (lag + 0.001)).abs() < 1e-6, "{lag} s");
         }
+    }
+
+    #[test]
+    fn the_rise_of_the_target_is_seen_ahead_until_the_plateau() {
+        let features = features();
+        let at = |tick| {
+            let seen = Observation {
+                pressure: 5.0,
+                target: 5.0 + 0.1 * (tick as f32).min(100.0),
+                pip: 15.0,
+                peep: 5.0,
+                tick,
+                rise_ticks: 100,
+            };
+            let vector = features.step(&mut FeatureState::new(), &seen, 0.0);
+            [0, 1, 2, 3].map(|n| (100.0 * vector[RISE.start + n]).round() as i32)
+        };
+        assert_eq!(at(0), [10, 20, 40, 100]);
+        assert_eq!(at(70), [10, 20, 30, 30]);
+        assert_eq!(at(100), [0, 0, 0, 0]);
     }
 
     proptest! {

@@ -1,7 +1,8 @@
 //! What a controller remembers of earlier breaths: the error and the command over the time of the inspiration.
 //!
 //! Breaths repeat, so the errors that remain are mostly the same in the next breath: they come from the unit and the lung, which
-//! no controller knows in advance. Both signals are averaged over bins of a few milliseconds. The profile of a breath that ran
+//! no controller knows in advance. Both signals are averaged over bins, of a few milliseconds while the pressure rises and of many on
+//! the plateau, so that the longest inspiration fits. The profile of a breath that ran
 //! undisturbed enters a mean over breaths ([`Lesson::Adopt`]), which removes noise; error and command are averaged alike, so the
 //! mean error is still the one that belongs to the mean command. The next breath looks ahead in the profile, because the valve acts
 //! late.
@@ -17,9 +18,20 @@ use crate::math;
 
 /// Number of bins of a profile; after the last one, a profile keeps its value.
 pub const BINS: usize = 128;
-/// Duration of a bin, s: short beside the valve's lag.
+/// Duration of the shortest bins, s: short beside the valve's lag.
 const BIN_S: f32 = 0.008;
-/// How far ahead, in bins, the next breath reads the remembered error: about the dead time and lag of a valve.
+/// Bins of one width.
+#[derive(Clone, Copy, Debug)]
+pub struct Section {
+    /// Number of its bins.
+    pub bins: usize,
+    /// Their width, in shortest bins.
+    pub width: u32,
+}
+/// The bins in order: 0.51 s of 8 ms, 0.51 s of 16 ms and 4.1 s of 128 ms at 1 kHz.
+pub const SECTIONS: [Section; 3] =
+    [Section { bins: 64, width: 1 }, Section { bins: 32, width: 2 }, Section { bins: 32, width: 16 }];
+/// How far ahead, in shortest bins, the next breath reads the remembered error: about the dead time and lag of a valve.
 pub const ERRORS_AHEAD: [usize; 5] = [1, 3, 5, 7, 10];
 /// The same for the remembered command.
 pub const COMMANDS_AHEAD: [usize; 2] = [0, 3];
@@ -74,6 +86,8 @@ pub struct BreathMemory {
     /// Sums over the running bin, and the ticks in it.
     sums: [f32; 2],
     ticks: u32,
+    /// Width of the running bin, in shortest bins.
+    width: u32,
     /// Sum over the bins of the difference between the running error and the remembered one.
     difference: f32,
     /// Whether all values of the running breath are finite.
@@ -96,6 +110,7 @@ impl BreathMemory {
             second: false,
             sums: [0.0; 2],
             ticks: 0,
+            width: SECTIONS[0].width,
             difference: 0.0,
             finite: true,
             adopted: 0,
@@ -126,7 +141,8 @@ impl BreathMemory {
         }
         debug_assert!(self.adopted <= LEARNING && filled <= BINS);
         self.profiles[usize::from(!self.second)].filled = 0;
-        (self.sums, self.ticks, self.difference, self.finite) = ([0.0; 2], 0, 0.0, true);
+        (self.sums, self.ticks, self.width) = ([0.0; 2], 0, SECTIONS[0].width);
+        (self.difference, self.finite) = (0.0, true);
         learned
     }
 
@@ -135,11 +151,18 @@ impl BreathMemory {
         self.adopted
     }
 
+    /// Remembered error and command of a bin, scaled; past what is remembered, those of the last bin, and zero if nothing is.
+    pub fn remembered(&self, bin: usize) -> [f32; 2] {
+        let mean = self.mean();
+        mean.filled.checked_sub(1).map_or([0.0; 2], |last| mean.bins[bin.min(last).min(BINS - 1)])
+    }
+
     /// Records a tick of the running inspiration: error and command in scaled units.
     #[inline]
     pub fn record(&mut self, bin_ticks: u32, error: f32, command: f32) {
         self.sums = [self.sums[0] + error, self.sums[1] + command];
         self.ticks += 1;
+        let bin_ticks = bin_ticks * self.width;
         if self.ticks >= bin_ticks {
             let share = 1.0 / bin_ticks as f32;
             self.fill(self.sums.map(|sum| share * sum));
@@ -156,6 +179,7 @@ impl BreathMemory {
         let Some(place) = running.bins.get_mut(bin) else { return };
         *place = new;
         running.filled = bin + 1;
+        self.width = width(bin + 1);
         let known = mean.bins.get(bin).filter(|_| bin < mean.filled);
         let old = known.copied().unwrap_or(new);
         self.finite &= new.iter().all(|value| value.is_finite());
@@ -171,12 +195,14 @@ impl BreathMemory {
     pub fn recall(&self, tick: u32, bin_ticks: u32) -> [f32; RECALLED] {
         let mut recalled = [0.0; RECALLED];
         let mean = self.mean();
-        let Some(last) = mean.filled.checked_sub(1) else { return recalled };
-        let Place { bin, share } = Place::of(tick, bin_ticks);
+        if mean.filled == 0 {
+            return recalled;
+        }
+        let now = since_first(tick, bin_ticks);
         let at = |ahead: usize, signal: usize| {
-            let entry = |bin: usize| mean.bins[bin.min(last).min(BINS - 1)][signal];
-            let first = entry(bin + ahead);
-            first + share * (entry(bin + ahead + 1) - first)
+            let Place { bin, share } = Place::at(now + ahead as f32);
+            let [first, second] = [bin, bin + 1].map(|bin| self.remembered(bin)[signal]);
+            first + share * (second - first)
         };
         let errors = ERRORS_AHEAD.map(|ahead| at(ahead, 0));
         let commands = COMMANDS_AHEAD.map(|ahead| at(ahead, 1));
@@ -188,21 +214,80 @@ impl BreathMemory {
 }
 
 /// A position between the middles of two bins.
-struct Place {
-    /// The earlier bin.
-    bin: usize,
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// The earlier bin; may be past the last one.
+    pub bin: usize,
     /// Weight of the later bin.
-    share: f32,
+    pub share: f32,
+}
+
+/// Time of a tick since the middle of the first bin, in shortest bins; not before it.
+#[inline]
+pub fn since_first(tick: u32, bin_ticks: u32) -> f32 {
+    tick.saturating_sub(bin_ticks / 2) as f32 / bin_ticks as f32
+}
+
+/// Equally distant middles of bins.
+#[derive(Clone, Copy, Debug)]
+pub struct Piece {
+    /// The first of them, in shortest bins since the middle of the first bin.
+    pub from: f32,
+    /// Its bin.
+    pub bin: usize,
+    /// Bins of the profile per shortest bin.
+    pub rate: f32,
+}
+
+/// The middles of all bins, in order: of the sections, and of the gaps between them.
+pub const PIECES: [Piece; 2 * SECTIONS.len() - 1] = pieces();
+
+const fn pieces() -> [Piece; 2 * SECTIONS.len() - 1] {
+    let mut pieces = [Piece { from: 0.0, bin: 0, rate: 1.0 }; 2 * SECTIONS.len() - 1];
+    let (mut n, mut bin, mut start) = (0, 0, 0);
+    while n < SECTIONS.len() {
+        let Section { bins, width } = SECTIONS[n];
+        // A bin of width w that begins s shortest bins after the first one has its middle at s + (w - 1) / 2.
+        let (first, width) = (start as f32 + 0.5 * (width - 1) as f32, width as f32);
+        if n > 0 {
+            let before = pieces[2 * n - 2];
+            let last = before.from + (bin - 1 - before.bin) as f32 / before.rate;
+            pieces[2 * n - 1] = Piece { from: last, bin: bin - 1, rate: 1.0 / (first - last) };
+        }
+        pieces[2 * n] = Piece { from: first, bin, rate: 1.0 / width };
+        (bin, start) = (bin + bins, start + bins * SECTIONS[n].width as usize);
+        n += 1;
+    }
+    assert!(bin == BINS, "the sections fill the profile");
+    pieces
 }
 
 impl Place {
-    /// The position of a tick.
+    /// The position at this time since the middle of the first bin, in shortest bins.
     #[inline]
-    fn of(tick: u32, bin_ticks: u32) -> Self {
-        let since_middle = tick.saturating_sub(bin_ticks / 2);
-        let share = (since_middle % bin_ticks) as f32 / bin_ticks as f32;
-        Self { bin: (since_middle / bin_ticks) as usize, share }
+    pub fn at(time: f32) -> Self {
+        let mut piece = PIECES[0];
+        for next in &PIECES[1..] {
+            if time >= next.from {
+                piece = *next;
+            }
+        }
+        let bins = (time - piece.from) * piece.rate;
+        let whole = bins as u32;
+        Self { bin: piece.bin + whole as usize, share: bins - whole as f32 }
     }
+}
+
+/// Width of a bin, in shortest bins; past the end, of the last one.
+fn width(bin: usize) -> u32 {
+    let mut left = bin;
+    for Section { bins, width } in SECTIONS {
+        if left < bins {
+            return width;
+        }
+        left -= bins;
+    }
+    SECTIONS[SECTIONS.len() - 1].width
 }
 
 /// Ticks of a bin for a control period in microseconds; at least one.
@@ -299,11 +384,27 @@ mod tests {
     #[test]
     fn an_inspiration_longer_than_the_memory_keeps_its_beginning() {
         let mut memory = BreathMemory::new();
-        for tick in 0..5000 {
-            memory.record(BIN, if tick < (BINS as u32) * BIN { 0.2 } else { 7.0 }, 0.0);
+        let longest: u32 = SECTIONS.iter().map(|section| section.bins as u32 * section.width * BIN).sum();
+        assert_eq!(longest, 5120);
+        for tick in 0..7000 {
+            memory.record(BIN, if tick < longest { 0.2 } else { 7.0 }, 0.0);
         }
         memory.learn(Lesson::Adopt);
-        near(memory.recall(5000, BIN)[4], 0.2);
+        near(memory.recall(7000, BIN)[4], 0.2);
+    }
+
+    #[test]
+    fn bins_of_every_width_are_recalled_between_their_middles() {
+        let mut memory = BreathMemory::new();
+        for tick in 0..5120 {
+            memory.record(BIN, tick as f32, 0.0);
+        }
+        memory.learn(Lesson::Adopt);
+        for tick in 4..5000_u32 {
+            // Ahead by a shortest bin; from the middle of the last bin on, nothing is known.
+            let wanted = (tick as f32 - 0.5 + 8.0).min(5120.0 - 64.5);
+            assert!((memory.recall(tick, BIN)[0] - wanted).abs() < 1e-2, "tick {tick}");
+        }
     }
 
     #[test]

@@ -10,6 +10,8 @@ pub mod network;
 pub mod pid;
 pub mod residual;
 
+use crate::breath::{Moment, rising};
+use crate::settings::Settings;
 use features::FeatureState;
 use memory::{BreathMemory, Lesson};
 use pid::{Pid, PidState};
@@ -31,6 +33,24 @@ pub struct Observation {
     pub peep: f32,
     /// Ticks since the breath started.
     pub tick: u32,
+    /// Length of the rise from PEEP to PIP, ticks.
+    pub rise_ticks: u32,
+}
+
+impl Observation {
+    /// What is seen at a moment of a breath with this pressure, cmH2O.
+    pub fn at(moment: &Moment<'_>, pressure: f32) -> Self {
+        let Settings { pip, peep, .. } = *moment.settings();
+        let rise_ticks = moment.breath.rise_ticks();
+        Self { pressure, target: moment.target(), pip, peep, tick: moment.tick, rise_ticks }
+    }
+
+    /// Rise of the target within this many ticks, as if the inspiration went on, cmH2O.
+    #[inline]
+    pub fn rise_within(&self, ticks: u32) -> f32 {
+        let target = |tick| rising(self.pip, self.peep, self.rise_ticks, tick);
+        target(self.tick.saturating_add(ticks)) - target(self.tick)
+    }
 }
 
 /// Command of the inspiratory valve before the safety filter; before exploration both parts are in `0..=100` percent.

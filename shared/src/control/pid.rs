@@ -164,7 +164,7 @@ mod tests {
     }
 
     fn seen(pressure: f32, target: f32) -> Observation {
-        Observation { pressure, target, pip: target, peep: 5.0, tick: 0 }
+        Observation { pressure, target, pip: target, peep: 5.0, tick: 0, rise_ticks: 0 }
     }
 
     #[test]

@@ -198,7 +198,8 @@ mod tests {
         controller.start_breath(&mut state, 5.0);
         let mut command = 0.0;
         for tick in 0..ticks {
-            let seen = Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick };
+            let seen =
+                Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick, rise_ticks: 0 };
             command = controller.step(&mut state, &seen).command;
             controller.applied(&mut state, command);
         }
@@ -223,7 +224,8 @@ mod tests {
     fn breathe(controller: &Controller, state: &mut ControllerState) {
         controller.start_breath(state, 5.0);
         for tick in 0..1000 {
-            let seen = Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick };
+            let seen =
+                Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick, rise_ticks: 0 };
             let command = controller.step(state, &seen).command;
             controller.applied(state, command);
         }
@@ -235,7 +237,8 @@ mod tests {
         let residual = Residual::new(spec(1.0), constant(0.1)).unwrap();
         let (learned, pid) = (Controller::Residual(residual.clone()), Controller::Pid(*residual.pid()));
         let mut state = ControllerState::new();
-        let seen = Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick: 500 };
+        let seen =
+            Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick: 500, rise_ticks: 0 };
         let mut recalls = |controller: &Controller| {
             breathe(controller, &mut state);
             let inputs = residual.inputs(&mut state.clone(), &seen);

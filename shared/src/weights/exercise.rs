@@ -2,12 +2,13 @@
 //! network and PID alike.
 //!
 //! The script is part of the format version. A breath starts with the valve at 5 %. In each tick `k` of [`TICKS`] the
-//! target is 25 cmH2O, PIP 25 and PEEP 8, and the pressure is `((7 k) mod 16) / 2 - 2` cmH2O below the target; every
+//! target rises from a PEEP of 8 to a PIP of 25 cmH2O within 64 ticks, and the pressure is `((7 k) mod 16) / 2 - 2` cmH2O below the target; every
 //! command is applied unchanged. All these numbers are exact in single precision. The breath is then adopted, and
 //! 80 ticks of a second one follow in the same way, with what the first one taught.
 
 use serde::{Deserialize, Serialize};
 
+use crate::breath::rising;
 use crate::checksum::CRC_32;
 use crate::control::memory::Lesson;
 use crate::control::residual::Residual;
@@ -17,6 +18,9 @@ use crate::control::{ControllerState, Observation};
 pub const TICKS: u32 = 160;
 /// Length of the second breath, ticks: long enough to recall from all over the first one.
 const SECOND_TICKS: u32 = 80;
+
+/// Length of the target's rise, ticks.
+const RISE_TICKS: u32 = 64;
 
 /// Result of a controller in the exercise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,7 +36,9 @@ pub struct Golden {
 /// Observation in a tick of the script.
 fn script(tick: u32) -> Observation {
     let error = 0.5 * (7 * tick % 16) as f32 - 2.0;
-    Observation { pressure: 25.0 - error, target: 25.0, pip: 25.0, peep: 8.0, tick }
+    let (pip, peep, rise_ticks) = (25.0, 8.0, RISE_TICKS);
+    let target = rising(pip, peep, rise_ticks, tick);
+    Observation { pressure: target - error, target, pip, peep, tick, rise_ticks }
 }
 
 /// Runs the exercise.
@@ -84,7 +90,7 @@ mod tests {
     /// format version.
     #[test]
     fn the_exercise_of_a_known_controller_has_known_bits() {
-        let known = Golden { last: 0x4201_24FB, all: 0x4A8A_E970 };
+        let known = Golden { last: 0x41E1_D01D, all: 0x2924_DC68 };
         assert_eq!(built(|_, _| ()), known);
     }
 
@@ -108,6 +114,7 @@ mod tests {
         assert_ne!(built(|spec, _| spec.lambda += 0.01), base);
         assert_ne!(built(|spec, _| spec.authority = 5.0), base);
         assert_ne!(built(|spec, _| spec.features.error_taps[7] = 127), base);
+        assert_ne!(built(|spec, _| spec.features.target_ahead[2] = 41), base);
         assert_ne!(built(|spec, _| spec.features.command_averages[1] = 0.31), base);
     }
 }

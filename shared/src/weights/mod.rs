@@ -17,13 +17,14 @@
 //! | 54 | 8 | time constants of the error's averages, s |
 //! | 62 | 8 | time constants of the command's averages, s |
 //! | 70 | 12 | time constants of the time features, s |
-//! | 82 | 16 | training id |
-//! | 98 | 16 | plant id |
-//! | 114 | 4 | golden: last command of the [`exercise`], percent |
-//! | 118 | 4 | golden: CRC-32 over the bits of all its commands |
-//! | 122 | 4 | length of the parameters, bytes, u32 |
-//! | 126 | 4 | image version, u32: grows with every signed image; 0 in an unsigned image |
-//! | 130 | ... | parameters in the order of [`Network::parameters`] |
+//! | 82 | 3 | ticks ahead at which the target is seen, u8 each |
+//! | 85 | 16 | training id |
+//! | 101 | 16 | plant id |
+//! | 117 | 4 | golden: last command of the [`exercise`], percent |
+//! | 121 | 4 | golden: CRC-32 over the bits of all its commands |
+//! | 125 | 4 | length of the parameters, bytes, u32 |
+//! | 129 | 4 | image version, u32: grows with every signed image; 0 in an unsigned image |
+//! | 133 | ... | parameters in the order of [`Network::parameters`] |
 //! | ... | 64 | ed25519 signature of everything before; zeros in an unsigned image ([`trust`]) |
 //! | end | 4 | CRC-32 over everything before, u32; also the image's id |
 //!
@@ -50,18 +51,18 @@ pub use image::{decode, decode_trusted, encode};
 /// First bytes of every image.
 pub const MAGIC: [u8; 4] = *b"EUPN";
 /// Version of the layout above and of the [`exercise`]'s script.
-pub const FORMAT_VERSION: u16 = 3;
+pub const FORMAT_VERSION: u16 = 4;
 /// Architecture: features of [`crate::control::features`] and what [`crate::control::memory`] recalls, two softsign layers, linear
 /// output, PID underneath.
-pub const ARCHITECTURE: u16 = 2;
+pub const ARCHITECTURE: u16 = 3;
 /// Offset of the plant id, bytes.
-pub const PLANT_AT: usize = 98;
+pub const PLANT_AT: usize = 101;
 /// Length of the plant id, bytes.
 pub const PLANT_BYTES: usize = 16;
 /// Offset of the image version, bytes.
-pub const VERSION_AT: usize = 126;
+pub const VERSION_AT: usize = 129;
 /// Length of the header, before the parameters, bytes.
-pub const HEADER_BYTES: usize = 130;
+pub const HEADER_BYTES: usize = 133;
 /// Length of the signature, bytes.
 pub const SIGNATURE_BYTES: usize = 64;
 /// Length of the parameters, bytes.

@@ -127,10 +127,10 @@ pub trait LanePart: Clone + Debug + Send + Sync {
     fn tape(ticks: usize) -> Self::Tape;
 
     /// Starts the forward pass of a breath.
-    fn start(&self, scenario: &Scenario) -> Self::Carried<'_>;
+    fn start<'a>(&'a self, scenario: &'a Scenario) -> Self::Carried<'a>;
 
     /// Starts the backward pass of a breath.
-    fn start_back(&self, scenario: &Scenario, tape: &mut Self::Tape) -> Self::Carried<'_>;
+    fn start_back<'a>(&'a self, scenario: &'a Scenario, tape: &mut Self::Tape) -> Self::Carried<'a>;
 
     /// The network's output at a tick, from the signals up to this tick's error and the PID's integral (percent).
     fn forward(
@@ -159,6 +159,6 @@ pub trait LanePart: Clone + Debug + Send + Sync {
         tick: usize,
     );
 
-    /// Adds the gradient with respect to the parameters over all ticks.
-    fn finish(&self, tape: &Self::Tape, gradient: &mut [f32]);
+    /// Adds the gradient with respect to the parameters over the breath's ticks.
+    fn finish(&self, tape: &Self::Tape, ticks: usize, gradient: &mut [f32]);
 }

@@ -1,9 +1,9 @@
 //! Configuration of a controller's training: on the simulators of single plants, and for a family of units.
 
 use engine::adam::AdamConfig;
+use plant::prescriptions::Prescriptions;
 use serde::{Deserialize, Serialize};
 use shared::breath::PAPER_PIPS;
-use shared::settings::Settings;
 
 use super::efforts::EffortConfig;
 
@@ -103,9 +103,6 @@ impl Weighting {
     }
 }
 
-/// Distance by which random PIPs go beyond those of the waveforms, cmH2O.
-const BEYOND_CMH2O: f32 = 2.0;
-
 /// Configuration of the training for a family.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -114,16 +111,12 @@ pub struct FamilyConfig {
     pub iterations: usize,
     /// Inspirations per gradient step (rounded up to whole shards).
     pub batch: usize,
-    /// PIPs of half of the courses, cmH2O.
-    pub pips: Vec<f32>,
-    /// Range of the PIPs of the other half, cmH2O.
-    pub pip_range: (f32, f32),
-    /// PEEP, cmH2O.
-    pub peep: f32,
-    /// Command before an inspiration that is not the first, percent.
-    pub rest: f32,
-    /// Inspiratory time, s.
-    pub inspiratory_time: f32,
+    /// What the controller is trained for.
+    pub prescriptions: Prescriptions,
+    /// Waveforms that it is judged on by default: those of the paper, or of the family.
+    pub usual: Prescriptions,
+    /// Share of the shards with these waveforms; in half of their courses, with any PIP between them.
+    pub usual_share: f32,
     /// Range of the standard deviation of the sensor noise, cmH2O.
     pub noise: (f32, f32),
     /// Largest amplitude of a sine late in the inspiration, cmH2O, in the reading of the pressure or in the pressure itself. A controller
@@ -144,9 +137,14 @@ pub struct FamilyConfig {
     pub lung_change_probability: f32,
     /// Factors on the errors of the first breaths of a course, of which little is remembered; later breaths have the factor 1.
     pub early_weights: [f32; 2],
+    /// Share of the breaths in which the loop is strained once the pressure should have settled: half or twice the gain, or more dead
+    /// time, by turns. So it learns to keep margins.
+    pub strain_share: f32,
+    /// Additional dead time of a strained loop, s.
+    pub strain_delay: f32,
     /// Factor on errors above the target.
     pub overshoot_weight: f32,
-    /// Price of moving the valve after the first 40 % of the inspiration, cmH2O per percent of change per tick.
+    /// Price of moving the valve once the pressure should have settled, cmH2O per percent of change per tick.
     pub effort_price: f32,
     /// Gradient steps between validations.
     pub validate_every: usize,
@@ -161,11 +159,9 @@ impl Default for FamilyConfig {
         Self {
             iterations: 12_000,
             batch: 256,
-            pips: PAPER_PIPS.to_vec(),
-            pip_range: (8.0, 37.0),
-            peep: 5.0,
-            rest: 5.0,
-            inspiratory_time: 1.0,
+            prescriptions: Prescriptions::default(),
+            usual: Prescriptions::default(),
+            usual_share: 0.3,
             noise: (0.05, 0.2),
             ripple: 0.8,
             ripple_hz: (1.5, 12.0),
@@ -175,33 +171,13 @@ impl Default for FamilyConfig {
             restart_probability: 0.12,
             lung_change_probability: 0.03,
             early_weights: [3.0, 2.0],
+            strain_share: 0.3,
+            strain_delay: 0.01,
             overshoot_weight: 1.0,
             effort_price: 0.02,
             validate_every: 100,
             adam: AdamConfig { rate: 3e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
             seed: 0,
-        }
-    }
-}
-
-impl FamilyConfig {
-    /// The configuration in breaths with these settings and PIPs, cmH2O; random PIPs go a little beyond them where the settings'
-    /// bounds allow it.
-    #[must_use]
-    pub fn in_breaths(self, settings: &Settings, pips: &[f32]) -> Self {
-        let ends =
-            pips.iter().fold((f32::INFINITY, 0.0_f32), |(low, high), pip| (low.min(*pip), high.max(*pip)));
-        let allowed = |pip: f32| Settings { pip, ..*settings }.validate().is_ok().then_some(pip);
-        Self {
-            pips: pips.to_vec(),
-            pip_range: (
-                allowed(ends.0 - BEYOND_CMH2O).unwrap_or(ends.0),
-                allowed(ends.1 + BEYOND_CMH2O).unwrap_or(ends.1),
-            ),
-            peep: settings.peep,
-            rest: settings.expiratory_bias,
-            inspiratory_time: settings.inspiratory_time,
-            ..self
         }
     }
 }
@@ -218,12 +194,5 @@ mod tests {
         assert_eq!(Weighting::Sum.factors(&[1.0, 2.0]), [1.0, 1.0]);
         let far_apart = Weighting::Softmax(0.1).factors(&[0.0, 1e6]);
         assert!(far_apart.iter().all(|factor| factor.is_finite()), "{far_apart:?}");
-    }
-
-    #[test]
-    fn random_pips_go_beyond_the_waveforms_but_not_beyond_the_settings_bounds() {
-        let range = |pips: &[f32]| FamilyConfig::default().in_breaths(&Settings::default(), pips).pip_range;
-        assert_eq!(range(&[20.0, 10.0, 35.0]), FamilyConfig::default().pip_range);
-        assert_eq!(range(&[6.0, 50.0]), (6.0, 50.0));
     }
 }

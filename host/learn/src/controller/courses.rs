@@ -5,29 +5,40 @@ use std::f32::consts::TAU;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use shared::breath::period_s;
+use shared::settings::Settings;
 
 use super::config::FamilyConfig;
-use super::loss::late;
+use super::loss::settled;
 use super::memory::LaneMemory;
 use super::rollout::ClosedLoopTape;
-use super::scenario::Scenario;
+use super::scenario::{Prescribed, Scenario, Strain};
 use crate::simulator::BreathStart;
 use engine::{LANES, Lane};
 
 /// Score below which the errors of a course weigh no more, cmH2O.
 const LEAST_SCORE: f32 = 0.1;
+/// Time after its rise from which a pressure should have settled, s.
+const AFTER_RISE_S: f32 = 0.2;
 
-/// A machine with a lung in each lane, its waveform and noise, and what was learned of it.
+/// A machine with a lung in each lane, its prescription and noise, and what was learned of it.
 #[derive(Debug)]
 pub(super) struct Courses {
     /// Number of units to draw from.
     units: u32,
+    /// Control period, s.
+    period_s: f32,
+    /// Whether the courses have the usual waveforms.
+    usual: bool,
+    /// Inspiratory time, the same in all lanes, s.
+    inspiratory_time: f32,
     machine: [Option<u32>; LANES],
     lung: [Option<u32>; LANES],
-    /// PIP, cmH2O.
-    pip: Lane,
+    settings: [Settings; LANES],
     /// Standard deviation of the sensor noise, cmH2O.
     noise: Lane,
+    /// What is done to the loop in the present breath.
+    strain: Strain,
     /// Breaths run.
     breath: [u32; LANES],
     /// Pressure at the end of the last inspiration, cmH2O; PEEP before the first.
@@ -38,14 +49,20 @@ pub(super) struct Courses {
 }
 
 impl Courses {
-    /// New courses in all lanes, on some of `units` units.
-    pub fn new(units: u32, period_us: u32, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Self {
+    /// New courses in all lanes, on some of `units` units; with the usual waveforms if their share of the shards reaches to this place
+    /// among them, 0 to 1.
+    pub fn new(units: u32, period_us: u32, place: f32, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Self {
+        let usual = place < config.usual_share || config.prescriptions.are_listed();
         let mut courses = Self {
             units,
+            period_s: period_s(period_us),
+            usual,
+            inspiratory_time: prescription(usual, config, rng).inspiratory_time,
             machine: [None; LANES],
             lung: [None; LANES],
-            pip: Lane::ZERO,
+            settings: [Settings::default(); LANES],
             noise: Lane::ZERO,
+            strain: Strain::NONE,
             breath: [0; LANES],
             plateau: Lane::ZERO,
             best: Lane::ZERO,
@@ -55,18 +72,26 @@ impl Courses {
         courses
     }
 
+    /// Ticks of an inspiration.
+    pub fn ticks(&self) -> usize {
+        self.ticks_in(self.inspiratory_time)
+    }
+
+    /// Whole ticks in this time, s.
+    fn ticks_in(&self, time: f32) -> usize {
+        (time / self.period_s).round() as usize
+    }
+
     /// Starts a new course in a lane.
     fn begin(&mut self, l: usize, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
         self.machine[l] = Some(rng.random_range(0..self.units));
         self.lung[l] = Some(rng.random_range(0..self.units));
-        let usual = rng.random_range(0.0..1.0) < 0.5_f32;
-        self.pip[l] = if usual {
-            config.pips[rng.random_range(0..config.pips.len())]
-        } else {
-            rng.random_range(config.pip_range.0..config.pip_range.1)
-        };
+        let drawn = prescription(self.usual, config, rng);
+        // The shard's inspiration, with the phases in the proportion that was drawn.
+        let rate = drawn.rate * drawn.inspiratory_time / self.inspiratory_time;
+        self.settings[l] = Settings { inspiratory_time: self.inspiratory_time, rate, ..drawn };
         self.noise[l] = rng.random_range(config.noise.0..config.noise.1);
-        (self.breath[l], self.plateau[l], self.best[l]) = (0, config.peep, f32::INFINITY);
+        (self.breath[l], self.plateau[l], self.best[l]) = (0, drawn.peep, f32::INFINITY);
         self.memory.forget(l);
     }
 
@@ -81,41 +106,57 @@ impl Courses {
                 self.lung[l] = Some(rng.random_range(0..self.units));
                 self.best[l] = f32::INFINITY;
             }
+            self.strain(l, config, rng);
         }
     }
 
+    /// Draws what is done to the loop of a lane in the next breath.
+    fn strain(&mut self, l: usize, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
+        let kind: f32 = rng.random_range(0.0..1.0);
+        let delay = self.ticks_in(config.strain_delay);
+        let kinds = [(2.0, 0), (1.0, delay), (0.5, 0)];
+        let place = (kind / config.strain_share.max(f32::EPSILON) * kinds.len() as f32) as usize;
+        (self.strain.gain[l], self.strain.delay[l]) = kinds.get(place).copied().unwrap_or((1.0, 0));
+    }
+
     /// The next breath of every course. A course begins in standby, with the valve closed.
-    pub fn scenario(&self, config: &FamilyConfig, ticks: usize, rng: &mut ChaCha8Rng) -> Scenario {
+    pub fn scenario(&self, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Scenario {
+        let (settings, ticks) = (&self.settings, self.ticks());
+        let of = |value: fn(&Settings) -> f32| Lane::from_fn(|l| value(&settings[l]));
+        let peep = of(|settings| settings.peep);
         let mut normal = || -> f32 { rng.sample(StandardNormal) };
         let start = BreathStart {
-            pressure: Lane::from_fn(|_| config.peep + config.start_spread * normal()),
-            peep: Lane::splat(config.peep),
+            pressure: peep.map(|peep| peep + config.start_spread * normal()),
+            peep,
             plateau: self.plateau,
+            phases: Some([of(|s| s.inspiratory_time), of(|s| 60.0 / s.rate - s.inspiratory_time)]),
             ventilator: self.machine,
             group: self.lung,
             ..BreathStart::default()
         };
         let mut noise: Vec<Lane> = (0..ticks).map(|_| self.noise.map(|sd| sd * normal())).collect();
-        let ripples: [Ripple; LANES] = std::array::from_fn(|_| Ripple::draw(config, rng));
-        let tick_s = config.inspiratory_time / ticks as f32;
+        let rise_ticks = settings.map(|s| self.ticks_in(s.rise_time).min(ticks) as u32);
+        let settled = rise_ticks.map(|rise| settled(ticks, rise, self.ticks_in(AFTER_RISE_S)));
         let mut pull = vec![Lane::ZERO; ticks];
-        for (n, (noise, pull)) in noise.iter_mut().zip(&mut pull).enumerate().skip(late(ticks)) {
-            for (l, ripple) in ripples.iter().enumerate() {
-                let disturbed = if ripple.in_pressure { &mut *pull } else { &mut *noise };
-                disturbed[l] += ripple.at(n as f32 * tick_s);
+        for (l, first) in settled.into_iter().enumerate() {
+            let ripple = Ripple::draw(config, rng);
+            let disturbed = if ripple.in_pressure { &mut pull } else { &mut noise };
+            for (n, disturbed) in disturbed.iter_mut().enumerate().skip(first) {
+                disturbed[l] += ripple.at(n as f32 * self.period_s);
             }
         }
         Scenario {
             ticks,
-            pip: self.pip,
-            peep: config.peep,
+            prescribed: Prescribed::new(ticks, of(|s| s.pip), peep, rise_ticks),
             start,
-            rest: Lane::from_fn(|l| if self.breath[l] == 0 { 0.0 } else { config.rest }),
+            rest: Lane::from_fn(|l| if self.breath[l] == 0 { 0.0 } else { settings[l].expiratory_bias }),
             noise,
             pull,
             weight: Lane::splat(1.0),
             overshoot_weight: config.overshoot_weight,
-            memory: Some(self.memory.clone()),
+            memory: Some(self.memory.recall()),
+            settled,
+            strain: self.strain.clone(),
             effort_price: config.effort_price,
         }
     }
@@ -130,14 +171,28 @@ impl Courses {
         })
     }
 
-    /// Ends the breath, and offers it to the memory of every lane.
+    /// Ends the breath, and offers it to the memory of every lane whose loop was not strained.
     pub fn end(&mut self, tape: &ClosedLoopTape) {
-        self.memory.adopt(tape.signals());
-        self.plateau = tape.plateau();
+        let ticks = self.ticks();
+        self.memory.adopt(tape.signals(), ticks, |l| self.strain.is_on(l));
+        self.plateau = tape.plateau(ticks);
         for breath in &mut self.breath {
             *breath += 1;
         }
     }
+}
+
+/// A prescription of a new course.
+fn prescription(usual: bool, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Settings {
+    let (seed, number) = (rng.random(), rng.random_range(0..u32::MAX));
+    if !usual {
+        return config.prescriptions.draw(seed, number);
+    }
+    let settings = config.usual.draw(seed, number);
+    let any = rng.random_range(0.0..1.0) < 0.5_f32;
+    let (low, high) = config.usual.pip_range();
+    let pip = if any { rng.random_range(low..high) } else { settings.pip };
+    Settings { pip, ..settings }
 }
 
 /// A sine in the pressure or in its reading.

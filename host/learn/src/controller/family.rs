@@ -20,7 +20,7 @@ use engine::adam::Adam;
 use engine::{LANES, Lane};
 
 /// Shards and breaths of a validation.
-const VALIDATION: (usize, u32) = (8, 6);
+const VALIDATION: (usize, u32) = (12, 6);
 /// Number of the random stream for validation; training uses the numbers of its steps.
 const VALIDATION_STREAM: u64 = 1 << 62;
 
@@ -38,7 +38,6 @@ pub struct FamilyModels {
 pub struct FamilyTraining {
     config: FamilyConfig,
     base: Residual,
-    ticks: usize,
     models: FamilyModels,
     courses: Vec<Courses>,
     tapes: Vec<ClosedLoopTape>,
@@ -60,8 +59,6 @@ impl FamilyTraining {
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let parameters = warm.map_or_else(|| initial_parameters(&mut rng), <[f32]>::to_vec);
         let base = Residual::new(spec, Network::zero())?;
-        let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
-        let shards = config.batch.div_ceil(LANES).max(1);
         let state = Checkpoint {
             iteration: 0,
             adam: Adam::new(config.adam, parameters.len()),
@@ -69,9 +66,8 @@ impl FamilyTraining {
             factors: Vec::new(),
             parameters,
         };
-        let tapes = (0..shards).map(|_| ClosedLoopTape::new(&models.trained_on, ticks)).collect();
-        let mut training =
-            Self { config, base, ticks, models, courses: Vec::new(), tapes, base_score: 0.0, state };
+        let (courses, tapes) = (Vec::new(), Vec::new());
+        let mut training = Self { config, base, models, courses, tapes, base_score: 0.0, state };
         training.base_score = training.validate(&vec![0.0; Network::PARAMETERS]);
         training.keep_best();
         Ok(training)
@@ -85,10 +81,11 @@ impl FamilyTraining {
         let of_shard = |shard: usize| {
             let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
             rng.set_stream(VALIDATION_STREAM + shard as u64);
-            let mut courses = Courses::new(units, self.base.spec().period_us, config, &mut rng);
-            let mut tape = ClosedLoopTape::new(model, self.ticks);
+            let place = place(shard, VALIDATION.0);
+            let mut courses = Courses::new(units, self.base.spec().period_us, place, config, &mut rng);
+            let mut tape = ClosedLoopTape::new(model, courses.ticks());
             let breath = |_| {
-                let scenario = courses.scenario(config, self.ticks, &mut rng);
+                let scenario = courses.scenario(config, &mut rng);
                 let loss = controller.forward(model, &scenario, &mut tape);
                 courses.end(&tape);
                 logarithm(&loss.score)
@@ -117,18 +114,21 @@ impl Stepwise for FamilyTraining {
 
     /// Starts all courses again.
     fn prepare(&mut self) {
-        let Self { config, models, base, state, .. } = &*self;
+        let Self { config, models, base, state, courses, tapes, .. } = self;
         let units = models.trained_on.architecture().members() as u32;
-        let courses = (0..self.tapes.len()).map(|shard| {
+        let shards = config.batch.div_ceil(LANES).max(1);
+        let begin = |shard| {
             let mut rng = stream(config, state.iteration, shard);
-            Courses::new(units, base.spec().period_us, config, &mut rng)
-        });
-        self.courses = courses.collect();
+            Courses::new(units, base.spec().period_us, place(shard, shards), config, &mut rng)
+        };
+        *courses = (0..shards).map(begin).collect();
+        let tape = |courses: &Courses| ClosedLoopTape::new(&models.trained_on, courses.ticks());
+        *tapes = courses.iter().map(tape).collect();
     }
 
     /// The score is a geometric mean.
     fn step(&mut self) -> f64 {
-        let Self { config, base, ticks, models, courses, tapes, state, .. } = self;
+        let Self { config, base, models, courses, tapes, state, .. } = self;
         let controller = LaneController::new(base, &state.parameters);
         let (size, iteration, model) = (state.parameters.len(), state.iteration, &models.trained_on);
         let parts: Vec<(f64, Vec<f32>)> = courses
@@ -138,7 +138,7 @@ impl Stepwise for FamilyTraining {
             .map(|(shard, (courses, tape))| {
                 let mut rng = stream(config, iteration + 1, shard);
                 courses.pass(config, &mut rng);
-                let mut scenario = courses.scenario(config, *ticks, &mut rng);
+                let mut scenario = courses.scenario(config, &mut rng);
                 let loss = controller.forward(model, &scenario, tape);
                 scenario.weight = courses.weights(&loss.score, config);
                 let mut gradient = vec![0.0; size];
@@ -170,6 +170,11 @@ impl Stepwise for FamilyTraining {
     fn finish(&self) -> Result<Trained, ResidualError> {
         Trained::of(&self.base, self.base_score, &self.state.best)
     }
+}
+
+/// Place of a shard among all, 0 to 1.
+fn place(shard: usize, shards: usize) -> f32 {
+    (shard as f32 + 0.5) / shards as f32
 }
 
 /// Random numbers of a shard in a gradient step. The courses that begin after a step are drawn from the same numbers as its noise:

@@ -2,18 +2,15 @@
 
 use engine::Lane;
 use shared::control::features::{
-    AVERAGES, CLOCK, COMMAND_SCALE, ERROR_SCALE, Features, INTEGRAL, LEAKY, PAST_COMMANDS, PEEP_SCALE,
-    PIP_SCALE,
+    AVERAGES, CLOCK, COMMAND_SCALE, ERROR_SCALE, Features, INTEGRAL, LEAKY, PAST_COMMANDS, PEEP_SCALE, PIP,
+    PIP_SCALE, RISE,
 };
 
-use super::scenario::Scenario;
+use super::scenario::{Prescribed, Scenario};
 use super::signals::Signals;
 
 /// Index of the first leaky average of the command.
 const COMMAND_AVERAGES_AT: usize = LEAKY.start + AVERAGES;
-/// Index of PIP; PEEP follows.
-const PIP_AT: usize = CLOCK.end;
-const PEEP_AT: usize = PIP_AT + 1;
 
 /// Scaled leaky averages of error and command; in the backward pass, the gradients with respect to them.
 #[derive(Clone, Copy, Debug, Default)]
@@ -28,18 +25,22 @@ pub(super) struct LaneFeatures<'a> {
     features: &'a Features,
     /// Scaled command before the breath.
     rest: Lane,
+    /// The waveforms.
+    prescribed: &'a Prescribed,
     /// Scaled PIP and PEEP.
     pressures: [Lane; 2],
 }
 
 impl<'a> LaneFeatures<'a> {
     /// Features of the breaths of a shard.
-    pub fn new(features: &'a Features, scenario: &Scenario) -> Self {
-        let pip = scenario.pip.map(|pip| (pip - PIP_SCALE.0) / PIP_SCALE.1);
+    pub fn new(features: &'a Features, scenario: &'a Scenario) -> Self {
+        let Prescribed { pip, peep, .. } = &scenario.prescribed;
+        let scaled = |pressure: &Lane, (zero, one)| pressure.map(|pressure| (pressure - zero) / one);
         Self {
             features,
             rest: scenario.rest.map(|rest| rest / COMMAND_SCALE),
-            pressures: [pip, Lane::splat((scenario.peep - PEEP_SCALE.0) / PEEP_SCALE.1)],
+            prescribed: &scenario.prescribed,
+            pressures: [scaled(pip, PIP_SCALE), scaled(peep, PEEP_SCALE)],
         }
     }
 
@@ -80,7 +81,13 @@ impl<'a> LaneFeatures<'a> {
         for (feature, time) in out[CLOCK.start..].iter_mut().zip(self.features.times(tick as u32)) {
             *feature = Lane::splat(time);
         }
-        [out[PIP_AT], out[PEEP_AT]] = self.pressures;
+        [out[PIP], out[PIP + 1]] = self.pressures;
+        let target = self.prescribed.target(tick);
+        let above = |pressure: &Lane| pressure.zip(target, |p, target| (p - target) / ERROR_SCALE);
+        for (feature, ticks) in out[RISE].iter_mut().zip(spec.target_ahead) {
+            *feature = above(self.prescribed.target(tick + usize::from(ticks)));
+        }
+        out[RISE.end] = above(&self.prescribed.pip);
     }
 
     /// Records the command applied in the tick, percent.
@@ -164,7 +171,8 @@ mod tests {
     #[test]
     fn gradients_by_errors_and_commands_agree_with_finite_differences() {
         let features = Features::new(FeatureSpec::default(), 1000).unwrap();
-        let built = LaneFeatures::new(&features, &Scenario::plain(TICKS, Lane::splat(20.0)));
+        let scenario = Scenario::plain(TICKS, Lane::splat(20.0));
+        let built = LaneFeatures::new(&features, &scenario);
         let errors: Vec<f32> = (0..TICKS).map(|tick| (0.3 * tick as f32).sin()).collect();
         let commands: Vec<f32> = (0..TICKS).map(|tick| 40.0 + 5.0 * (0.2 * tick as f32).cos()).collect();
         let (mut back, mut d_signals) = (Averages::default(), Signals::new(TICKS));

@@ -22,8 +22,8 @@ impl Loss {
     pub fn of(scenario: &Scenario, pressure: &[Lane]) -> Self {
         let (mut score, mut weighted) = (Lane::ZERO, 0.0);
         let share = 1.0 / scenario.ticks as f32;
-        for pressure in pressure {
-            let error = pressure.zip(&scenario.pip, |p, target| p - target);
+        for (tick, pressure) in pressure[..scenario.ticks].iter().enumerate() {
+            let error = pressure.zip(scenario.prescribed.target(tick), |p, target| p - target);
             score.add_scaled(share, &error.map(f32::abs));
             let rounded = error.map(|e| {
                 let size = huber::value(e, ROUNDING);
@@ -40,42 +40,45 @@ impl Loss {
     }
 }
 
-/// Gradient of [`Loss::weighted`] with respect to the pressures of one tick.
-pub(super) fn slope(scenario: &Scenario, pressure: &Lane) -> Lane {
-    let above = scenario.overshoot_weight;
+/// Gradient of [`Loss::weighted`] with respect to the pressures of a tick.
+pub(super) fn slope(scenario: &Scenario, pressure: &Lane, tick: usize) -> Lane {
+    let (above, target) = (scenario.overshoot_weight, scenario.prescribed.target(tick));
     let share = 1.0 / scenario.ticks as f32;
     Lane::from_fn(|l| {
-        let error = pressure[l] - scenario.pip[l];
+        let error = pressure[l] - target[l];
         let slope = huber::slope(error, ROUNDING);
         share * scenario.weight[l] * if error > 0.0 { above * slope } else { slope }
     })
 }
 
-/// Share of the inspiration after which it is late: the pressure should have settled, and moving the valve has its price.
-const LATE: f32 = 0.4;
+/// Share of the inspiration after which the pressure should have settled.
+const SETTLED: f32 = 0.4;
 /// Change of the command in a tick below which its price is smoothed, percent.
 const EFFORT_ROUNDING: f32 = 0.2;
 
-/// First late tick of an inspiration.
-pub(super) fn late(ticks: usize) -> usize {
-    (LATE * ticks as f32) as usize
+/// Tick from which the pressure should have settled in an inspiration of this many ticks, `after` ticks after the rise at the
+/// earliest; its end if that comes first.
+pub(super) fn settled(ticks: usize, rise_ticks: u32, after: usize) -> usize {
+    ((SETTLED * ticks as f32) as usize).max(rise_ticks as usize + after).min(ticks)
 }
 
 /// Gradient of the price of moving the valve with respect to the command of one tick.
 pub(super) fn effort_slope(scenario: &Scenario, commands: &[Lane], tick: usize) -> Lane {
-    let first = late(scenario.ticks);
-    let priced = scenario.effort_price > 0.0;
-    if !priced || tick < first {
+    let first = scenario.settled.iter().min().copied().unwrap_or(scenario.ticks);
+    if scenario.effort_price <= 0.0 || tick < first {
         return Lane::ZERO;
     }
-    let share = scenario.effort_price / (scenario.ticks - first) as f32;
     let step =
         |from: usize| commands[from].zip(&commands[from + 1], |a, b| huber::slope(b - a, EFFORT_ROUNDING));
-    let mut slope = if tick > first { step(tick - 1) } else { Lane::ZERO };
-    if tick + 1 < scenario.ticks {
-        slope.add_scaled(-1.0, &step(tick));
-    }
-    slope.zip(&scenario.weight, |slope, weight| share * weight * slope)
+    let before = if tick > first { step(tick - 1) } else { Lane::ZERO };
+    let after = if tick + 1 < scenario.ticks { step(tick) } else { Lane::ZERO };
+    Lane::from_fn(|l| {
+        let first = scenario.settled[l];
+        let (before, after) =
+            (if tick > first { before[l] } else { 0.0 }, if tick >= first { after[l] } else { 0.0 });
+        let share = scenario.effort_price / (scenario.ticks - first).max(1) as f32;
+        share * scenario.weight[l] * (before - after)
+    })
 }
 
 #[cfg(test)]
@@ -91,7 +94,7 @@ mod tests {
         };
         // Errors from -7.5 to 7.5; none is at the kink.
         let pressure = Lane::from_fn(|l| 12.5 + l as f32);
-        let slope = slope(&scenario, &pressure);
+        let slope = slope(&scenario, &pressure, 0);
         let step = 0.25;
         for l in 0..engine::LANES {
             let at = |step: f32| {

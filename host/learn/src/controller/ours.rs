@@ -89,13 +89,13 @@ impl LanePart for OurLanes {
         lane_network(&vec![0.0; Network::PARAMETERS]).tape(ticks)
     }
 
-    fn start(&self, scenario: &Scenario) -> OurBreath<'_> {
+    fn start<'a>(&'a self, scenario: &'a Scenario) -> OurBreath<'a> {
         let features = LaneFeatures::new(&self.features, scenario);
         let averages = features.start();
         OurBreath { features, averages }
     }
 
-    fn start_back(&self, scenario: &Scenario, _tape: &mut LayersTape) -> OurBreath<'_> {
+    fn start_back<'a>(&'a self, scenario: &'a Scenario, _tape: &mut LayersTape) -> OurBreath<'a> {
         OurBreath { features: LaneFeatures::new(&self.features, scenario), averages: Averages::default() }
     }
 
@@ -110,7 +110,7 @@ impl LanePart for OurLanes {
         let seen = tape.inputs(tick);
         breath.features.forward(&mut breath.averages, signals, integral, tick, seen);
         if let Some(memory) = &scenario.memory {
-            memory.recall(tick, &mut seen[FEATURES..]);
+            memory.at(tick, &mut seen[FEATURES..]);
         }
         self.network.forward(tape, tick)
     }
@@ -135,7 +135,7 @@ impl LanePart for OurLanes {
         breath.features.backward(&mut breath.averages, d_features, tick, d_signals, d_integral);
     }
 
-    fn finish(&self, tape: &LayersTape, gradient: &mut [f32]) {
-        self.network.finish(tape, gradient);
+    fn finish(&self, tape: &LayersTape, ticks: usize, gradient: &mut [f32]) {
+        self.network.finish(tape, ticks, gradient);
     }
 }

@@ -5,18 +5,22 @@
 //! runs through the ticks in reverse and carries the gradients of all state: pressure, integral, derivative, leaky
 //! averages, taps, and the simulator's states.
 
-use engine::Lane;
+use engine::{LANES, Lane};
 use shared::control::COMMAND_MAX;
 use shared::control::residual::Residual;
+use shared::math;
 
 use super::architecture::{LanePart, Trainable};
 use super::limit::{limit, limit_back};
 use super::loss::{self, Loss};
 use super::pid::{self, PidLanes, PidTape};
-use super::scenario::Scenario;
+use super::scenario::{Scenario, Strain};
 use super::signals::Signals;
 use crate::simulator::model::Model;
 use crate::simulator::rollout::Rollout;
+
+/// Share of a command in the mean of the recent ones: about the last 50 ms at 1 kHz.
+const LEVEL_SHARE: f32 = 0.02;
 
 /// Memory of a closed loop; one per shard, reused.
 #[derive(Debug)]
@@ -53,9 +57,9 @@ impl<C: Trainable> ClosedLoopTape<C> {
         &self.signals
     }
 
-    /// Pressure at the end of the breath, cmH2O.
-    pub(super) fn plateau(&self) -> Lane {
-        self.pressure.last().copied().unwrap_or_default()
+    /// Pressure at the end of an inspiration of this many ticks, cmH2O.
+    pub(super) fn plateau(&self, ticks: usize) -> Lane {
+        self.pressure[..ticks].last().copied().unwrap_or_default()
     }
 }
 
@@ -71,6 +75,8 @@ pub struct LaneController<'a, C: Trainable = Residual> {
 struct Carried<L> {
     pid: PidLanes,
     learned: L,
+    /// Mean of the recent commands, percent: around it, the loop is strained.
+    level: Lane,
 }
 
 /// What a learned part carries.
@@ -84,7 +90,8 @@ impl<'a, C: Trainable> LaneController<'a, C> {
 
     /// Runs the inspiration; afterwards the tape contains everything that [`Self::backward`] needs.
     pub fn forward(&self, model: &Model, scenario: &Scenario, tape: &mut ClosedLoopTape<C>) -> Loss {
-        let mut carried = Carried { pid: PidLanes::default(), learned: self.learned.start(scenario) };
+        let (learned, level) = (self.learned.start(scenario), scenario.rest);
+        let mut carried = Carried { pid: PidLanes::default(), learned, level };
         tape.simulator.begin(model, &scenario.start, &scenario.rest);
         for tick in 0..scenario.ticks {
             self.tick(scenario, tape, &mut carried, tick);
@@ -105,8 +112,8 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         }
         tape.pressure[tick] = pressure;
         let measured = pressure.zip(&scenario.noise[tick], |p, n| p + n);
-        tape.signals.error[tick] = scenario.pip.zip(&measured, |target, p| target - p);
-        let Carried { pid, learned } = carried;
+        tape.signals.error[tick] = scenario.prescribed.target(tick).zip(&measured, |target, p| target - p);
+        let Carried { pid, learned, .. } = carried;
         let seen = (&tape.signals, &pid.integral);
         let output = self.learned.forward(scenario, &mut tape.learned, learned, seen, tick);
 
@@ -120,19 +127,47 @@ impl<'a, C: Trainable> LaneController<'a, C> {
 
         tape.signals.command[tick] = command;
         self.learned.applied(learned, &command);
-        tape.simulator.advance(&command);
+        let strained = self.strained(scenario, &tape.signals.command, &mut carried.level, tick);
+        tape.simulator.advance(&strained);
+    }
+
+    /// What reaches the plant of the commands up to a tick, percent.
+    fn strained(&self, scenario: &Scenario, commands: &[Lane], level: &mut Lane, tick: usize) -> Lane {
+        let Strain { gain, delay } = &scenario.strain;
+        Lane::from_fn(|l| {
+            let now = commands[tick][l];
+            if !scenario.strain.is_on(l) || tick < scenario.settled[l] {
+                level[l] += LEVEL_SHARE * (now - level[l]);
+                return now;
+            }
+            let change = commands[tick.saturating_sub(delay[l])][l] - level[l];
+            math::limit(level[l] + gain[l] * change, 0.0, COMMAND_MAX)
+        })
+    }
+
+    /// Backward pass of [`Self::strained`]: adds the gradients with respect to the commands. The level counts as given.
+    fn strained_back(scenario: &Scenario, d_plant: &Lane, d_commands: &mut [Lane], tick: usize) {
+        let Strain { gain, delay } = &scenario.strain;
+        for l in 0..LANES {
+            let (factor, then) = if !scenario.strain.is_on(l) || tick < scenario.settled[l] {
+                (1.0, tick)
+            } else {
+                (gain[l], tick.saturating_sub(delay[l]))
+            };
+            d_commands[then][l] += factor * d_plant[l];
+        }
     }
 
     /// Adds the gradient of the weighted loss with respect to the network's parameters.
     pub fn backward(&self, scenario: &Scenario, tape: &mut ClosedLoopTape<C>, gradient: &mut [f32]) {
         let learned = self.learned.start_back(scenario, &mut tape.learned);
-        let mut back = Carried { pid: PidLanes::default(), learned };
+        let mut back = Carried { pid: PidLanes::default(), learned, level: Lane::ZERO };
         tape.d_signals.clear();
         tape.simulator.start_back();
         for tick in (0..scenario.ticks).rev() {
             self.tick_back(scenario, tape, &mut back, tick);
         }
-        self.learned.finish(&tape.learned, gradient);
+        self.learned.finish(&tape.learned, scenario.ticks, gradient);
     }
 
     fn tick_back(
@@ -142,10 +177,10 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         back: &mut Carried<LearnedCarried<'_, C>>,
         tick: usize,
     ) {
-        let Carried { pid, learned } = back;
+        let Carried { pid, learned, .. } = back;
         let d_signals = &mut tape.d_signals;
+        Self::strained_back(scenario, &tape.simulator.command_gradient(tick), &mut d_signals.command, tick);
         let mut d_command = d_signals.command[tick];
-        d_command.add_scaled(1.0, &tape.simulator.command_gradient(tick));
         d_command.add_scaled(1.0, &loss::effort_slope(scenario, &tape.signals.command, tick));
         self.learned.applied_back(learned, &mut d_command);
 
@@ -159,7 +194,7 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         self.learned.backward(&mut tape.learned, learned, d_output, d_seen, tick);
 
         let d_pressure =
-            loss::slope(scenario, &tape.pressure[tick]).zip(&d_signals.error[tick], |loss, d| loss - d);
+            loss::slope(scenario, &tape.pressure[tick], tick).zip(&d_signals.error[tick], |loss, d| loss - d);
         tape.simulator.add_pressure_gradient(tick, &d_pressure);
     }
 }
@@ -168,11 +203,11 @@ impl<'a, C: Trainable> LaneController<'a, C> {
 mod tests {
     use super::*;
     use crate::controller::network::{chip_network, initial_parameters};
+    use crate::controller::scenario::Prescribed;
     use crate::simulator::BreathStart;
     use crate::simulator::model::Architecture;
     use crate::simulator::state_space::StateSpaceConfig;
     use crate::simulator::stitched::StitchedConfig;
-    use engine::LANES;
     use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::SeedableRng;
     use shared::control::features::FeatureSpec;
@@ -210,8 +245,17 @@ mod tests {
     fn scenario(ticks: usize) -> Scenario {
         Scenario {
             ticks,
-            pip: Lane::from_fn(|l| 16.0 + 0.5 * l as f32),
-            peep: 5.0,
+            prescribed: Prescribed::new(
+                ticks,
+                Lane::from_fn(|l| 16.0 + 0.5 * l as f32),
+                Lane::from_fn(|l| 4.0 + 0.1 * l as f32),
+                std::array::from_fn(|l| (ticks / 20 * l) as u32),
+            ),
+            settled: [ticks / 3; LANES],
+            strain: Strain {
+                gain: Lane::from_fn(|l| if l % 4 == 0 { 1.5 } else { 1.0 }),
+                delay: std::array::from_fn(|l| if l % 4 == 1 { 3 } else { 0 }),
+            },
             start: BreathStart {
                 pressure: Lane::splat(5.0),
                 plateau: Lane::splat(20.0),
@@ -298,8 +342,15 @@ mod tests {
             chip.start_breath(&mut state, scenario.rest[l]);
             for tick in 0..scenario.ticks {
                 let pressure = tape.pressure[tick][l] + scenario.noise[tick][l];
-                let (target, pip) = (scenario.pip[l], scenario.pip[l]);
-                let seen = Observation { pressure, target, pip, peep: 5.0, tick: tick as u32 };
+                let Prescribed { pip, peep, rise_ticks, .. } = &scenario.prescribed;
+                let seen = Observation {
+                    pressure,
+                    target: scenario.prescribed.target(tick)[l],
+                    pip: pip[l],
+                    peep: peep[l],
+                    tick: tick as u32,
+                    rise_ticks: rise_ticks[l],
+                };
                 let command = chip.step(&mut state, &seen).command;
                 chip.applied(&mut state, command);
                 // The chip gets the pressures of the lanes, so differences cannot accumulate through the plant.
@@ -328,7 +379,8 @@ mod tests {
             for l in 0..LANES {
                 assert!((free[tick][l] - pulled[tick][l] - pull[l]).abs() < 1e-5, "tick {tick}");
                 let measured = pulled[tick][l] + disturbed.noise[tick][l];
-                assert!((seen[tick][l] - (disturbed.pip[l] - measured)).abs() < 1e-5, "tick {tick}");
+                let target = disturbed.prescribed.target(tick)[l];
+                assert!((seen[tick][l] - (target - measured)).abs() < 1e-5, "tick {tick}");
             }
         }
         assert!((free[9][LANES - 1] - pulled[9][LANES - 1]).abs() > 1.0, "the pull is large enough to tell");

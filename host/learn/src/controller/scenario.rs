@@ -1,30 +1,88 @@
-//! The breaths of a shard in training: PIPs, starting states, sensor noise, efforts.
+//! The breaths of a shard in training: prescriptions, starting states, sensor noise, efforts, and what is done to the loop late in
+//! the inspiration.
 
-use engine::Lane;
+use engine::{LANES, Lane};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::StandardNormal;
+use shared::breath::rising;
+use shared::control::features::TAP_MAX;
 
 use super::config::TrainConfig;
-use super::memory::LaneMemory;
+use super::loss::settled;
+use super::memory::Recall;
 use crate::simulator::BreathStart;
+
+/// The waveforms of a shard's inspirations.
+#[derive(Clone, Debug)]
+pub struct Prescribed {
+    /// PIP of each rollout, cmH2O.
+    pub pip: Lane,
+    /// PEEP of each rollout, cmH2O.
+    pub peep: Lane,
+    /// Length of the rise from PEEP to PIP, ticks.
+    pub rise_ticks: [u32; LANES],
+    /// Target at each tick, also beyond the end of the inspiration as far as a feature looks ahead, cmH2O.
+    target: Vec<Lane>,
+}
+
+impl Prescribed {
+    /// Waveforms of this many ticks.
+    pub fn new(ticks: usize, pip: Lane, peep: Lane, rise_ticks: [u32; LANES]) -> Self {
+        let at = |tick: usize| Lane::from_fn(|l| rising(pip[l], peep[l], rise_ticks[l], tick as u32));
+        Self { pip, peep, rise_ticks, target: (0..=ticks + usize::from(TAP_MAX)).map(at).collect() }
+    }
+
+    /// Square waveforms from the same PEEP, cmH2O.
+    pub fn square(ticks: usize, pip: Lane, peep: f32) -> Self {
+        Self::new(ticks, pip, Lane::splat(peep), [0; LANES])
+    }
+
+    /// Target at a tick, cmH2O.
+    #[inline]
+    pub fn target(&self, tick: usize) -> &Lane {
+        &self.target[tick]
+    }
+}
+
+/// What is done to the loop of each rollout from its settled tick on: the plant gets the change of the command since then late, and
+/// larger or smaller than it is. So a margin of the loop becomes an error.
+#[derive(Clone, Debug)]
+pub struct Strain {
+    /// Factor on the change of the command.
+    pub gain: Lane,
+    /// Additional dead time, ticks.
+    pub delay: [usize; LANES],
+}
+
+impl Strain {
+    /// The loop as it is.
+    pub const NONE: Self = Self { gain: Lane([1.0; LANES]), delay: [0; LANES] };
+
+    /// Whether something is done to the loop of a rollout.
+    pub fn is_on(&self, l: usize) -> bool {
+        self.delay[l] > 0 || self.gain[l].to_bits() != 1.0_f32.to_bits()
+    }
+}
 
 /// The breaths of a shard.
 #[derive(Clone, Debug)]
 pub struct Scenario {
     /// Number of ticks of the inspiration.
     pub ticks: usize,
-    /// PIP of each rollout, cmH2O.
-    pub pip: Lane,
-    /// PEEP, cmH2O.
-    pub peep: f32,
+    /// What each rollout is to follow.
+    pub prescribed: Prescribed,
     /// Starting states of the breaths.
     pub start: BreathStart,
     /// Command before the inspiration, percent.
     pub rest: Lane,
     /// What earlier breaths taught; none if every breath is the first.
-    pub memory: Option<LaneMemory>,
+    pub memory: Option<Recall>,
+    /// Tick from which the pressure of each rollout should have settled: moving the valve has a price, and the loop is strained.
+    pub settled: [usize; LANES],
+    /// What is done to the loop from then on.
+    pub strain: Strain,
     /// Price of moving the valve late in the inspiration, cmH2O of error per percent of change per tick.
     pub effort_price: f32,
     /// Sensor noise of each tick, cmH2O.
@@ -43,8 +101,9 @@ impl Scenario {
     pub fn plain(ticks: usize, pip: Lane) -> Self {
         Self {
             ticks,
-            pip,
-            peep: 5.0,
+            prescribed: Prescribed::square(ticks, pip, 5.0),
+            settled: [settled(ticks, 0, 0); LANES],
+            strain: Strain::NONE,
             start: BreathStart { pressure: Lane::splat(5.0), plateau: pip, ..BreathStart::default() },
             rest: Lane::splat(5.0),
             memory: None,
@@ -68,8 +127,9 @@ impl Scenario {
         let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
         let mut scenario = Self {
             ticks,
-            pip,
-            peep: config.peep,
+            prescribed: Prescribed::square(ticks, pip, config.peep),
+            settled: [settled(ticks, 0, 0); LANES],
+            strain: Strain::NONE,
             start: BreathStart {
                 pressure: Lane::from_fn(|_| start + normal(config.start_spread)),
                 plateau: pip,
@@ -104,7 +164,7 @@ mod tests {
         let (passive, breathing) = (drawn(&passive), drawn(&breathing));
         assert!(passive.pull.is_empty() && breathing.pull.len() == 1000);
         let bits = |lane: &Lane| lane.0.map(f32::to_bits);
-        assert_eq!(bits(&passive.pip), bits(&breathing.pip));
+        assert_eq!(bits(&passive.prescribed.pip), bits(&breathing.prescribed.pip));
         assert_eq!(bits(&passive.start.pressure), bits(&breathing.start.pressure));
         assert!(passive.noise.iter().zip(&breathing.noise).all(|(one, other)| bits(one) == bits(other)));
     }

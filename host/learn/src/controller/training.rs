@@ -14,7 +14,7 @@ use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 use super::architecture::Trainable;
 use super::config::TrainConfig;
 use super::rollout::{ClosedLoopTape, LaneController};
-use super::scenario::Scenario;
+use super::scenario::{Prescribed, Scenario};
 use crate::simulator::model::{Model, Simulator};
 use engine::adam::Adam;
 use engine::{LANES, Lane};
@@ -283,8 +283,9 @@ impl<C: Trainable> Training<C> {
         let pips = &self.config.pips;
         let of_plant = |plant: &Ensemble| {
             let mut scenario = plant.held_out.draw(&self.config, self.ticks, VALIDATION_STREAM);
-            scenario.pip = Lane::from_fn(|l| pips[l % pips.len()]);
-            scenario.start.plateau = scenario.pip;
+            let pip = Lane::from_fn(|l| pips[l % pips.len()]);
+            scenario.prescribed = Prescribed::square(self.ticks, pip, self.config.peep);
+            scenario.start.plateau = pip;
             let model = &plant.held_out.model;
             let mut tape = ClosedLoopTape::new(model, self.ticks);
             let score = controller.forward(model, &scenario, &mut tape).score;

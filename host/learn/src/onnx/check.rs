@@ -2,7 +2,7 @@
 //! exported graph, step by step.
 
 use serde::Serialize;
-use shared::breath::period_s;
+use shared::breath::{period_s, rising};
 use shared::control::memory::Lesson;
 use shared::control::{ControlLaw, ControlOutput, Observation};
 
@@ -15,7 +15,7 @@ use crate::simulator::{BreathStart, COMMAND_SCALE};
 use engine::{LANES, Lane};
 
 /// Ticks of a breath's inspiration in a check, and breaths: enough to remember, to be surprised and to forget.
-const TICKS: u32 = 250;
+const TICKS: u32 = 700;
 const BREATHS: u32 = 9;
 /// Breath from which on the lung is another one, and the last breath, whose settings are new.
 const CHANGED: u32 = 6;
@@ -58,15 +58,17 @@ fn breathe<C: ControlLaw>(
 ) -> f32 {
     let (pip, peep) = if breath + 1 == BREATHS { (30.0, 8.0) } else { (20.0, 5.0) };
     let gain = if breath >= CHANGED { 0.6 } else { 0.9 };
+    // Every second breath rises slowly.
+    let rise_ticks = breath % 2 * TICKS / 4;
     let (mut pressure, mut applied) = (peep, REST);
     law.start_breath(state, applied);
     for tick in 0..TICKS {
         let phase = (tick + 17 * breath) as f32;
-        let seen =
-            Observation { pressure: pressure + 0.1 * (1.3 * phase).sin(), target: pip, pip, peep, tick };
+        let (measured, target) = (pressure + 0.1 * (1.3 * phase).sin(), rising(pip, peep, rise_ticks, tick));
+        let seen = Observation { pressure: measured, target, pip, peep, tick, rise_ticks };
         let ControlOutput { base, command } = law.step(state, &seen);
-        let observation =
-            [seen.pressure, seen.target, pip, peep, applied, tick as f32 * period_s(period_us), -1.0];
+        let [time, rise] = [tick, rise_ticks].map(|ticks| ticks as f32 * period_s(period_us));
+        let observation = [measured, target, pip, peep, applied, time, -1.0, rise];
         steps.push(ControllerStep { observation, commands: Some([command, base]) });
         applied = (command + 5.0 * (0.05 * phase).sin()).clamp(0.0, 100.0);
         law.applied(state, applied);
@@ -84,7 +86,7 @@ fn learn<C: ControlLaw>(
     steps: &mut Vec<ControllerStep>,
 ) {
     law.learn(state, lesson);
-    let observation = [0.0, 0.0, 0.0, 0.0, applied, 0.0, lesson_number(lesson)];
+    let observation = [0.0, 0.0, 0.0, 0.0, applied, 0.0, lesson_number(lesson), 0.0];
     steps.push(ControllerStep { observation, commands: None });
 }
 
@@ -114,6 +116,7 @@ pub fn simulator(simulator: &Simulator, unit: Option<u32>) -> SimulatedBreath {
         plateau_command: scaled(plateau_command),
         group: [None; LANES],
         ventilator: [unit; LANES],
+        phases: None,
         resistance,
         compliance,
     };

@@ -16,7 +16,7 @@ use crate::graph::{Builder, Value};
 use shared::breath::period_s;
 
 /// Columns of the input `observation`, in their order.
-pub const OBSERVATION: [&str; 7] = [
+pub const OBSERVATION: [&str; 8] = [
     "measured pressure, cmH2O",
     "target pressure, cmH2O",
     "PIP, cmH2O",
@@ -24,6 +24,7 @@ pub const OBSERVATION: [&str; 7] = [
     "command applied in the last tick, percent",
     "time since the breath began, s",
     "-1 in a tick; after an inspiration the lesson: 0 adopt, 1 discard, 2 forget",
+    "time of the target's rise from PEEP to PIP, s",
 ];
 
 /// Name of the input.
@@ -41,6 +42,8 @@ pub(super) struct Seen {
     /// Time since the start of the breath in whole ticks.
     tick: Value,
     lesson: Value,
+    /// Length of the rise in whole ticks.
+    rise: Value,
     /// Whether the row is a tick, and whether it is the first one of a breath.
     pub(super) ticks: Value,
     pub(super) starts: Value,
@@ -51,20 +54,22 @@ impl Seen {
         let doc = OBSERVATION.join("; ");
         let row = graph.input(OBSERVATION_NAME, OBSERVATION.len(), &doc);
         let columns = graph.split(&row, &[1; OBSERVATION.len()]);
-        let Ok([pressure, target, pip, peep, applied, time, lesson]) =
+        let Ok([pressure, target, pip, peep, applied, time, lesson, rise]) =
             <[Value; OBSERVATION.len()]>::try_from(columns)
         else {
             unreachable!("a split gives as many pieces as asked for")
         };
         let period = graph.number(period_s(period_us));
-        let exact = graph.div(&time, &period);
-        let tick = graph.op("Round", &[&exact]);
+        let [tick, rise] = [time, rise].map(|time| {
+            let exact = graph.div(&time, &period);
+            graph.op("Round", &[&exact])
+        });
         let zero = graph.number(0.0);
         let ticks = graph.less(&lesson, &zero);
         let half = graph.number(0.5);
         let at_zero = graph.less(&tick, &half);
         let starts = graph.and(&ticks, &at_zero);
-        Self { pressure, target, pip, peep, applied, tick, lesson, ticks, starts }
+        Self { pressure, target, pip, peep, applied, tick, lesson, rise, ticks, starts }
     }
 }
 
@@ -191,6 +196,7 @@ fn inputs(graph: &mut Builder, state: &mut State, seen: &Seen, controller: &Resi
         graph.div(&from_zero, &one)
     };
     let (pip, peep) = (scaled(&seen.pip, PIP_SCALE), scaled(&seen.peep, PEEP_SCALE));
+    let (rises, left) = future(graph, seen, spec);
     let recalled = memory::recall(graph, state, &seen.tick, bin_ticks(period_us));
     graph.join(&[
         &errors,
@@ -201,8 +207,30 @@ fn inputs(graph: &mut Builder, state: &mut State, seen: &Seen, controller: &Resi
         &times,
         &pip,
         &peep,
+        &rises,
+        &left,
         &recalled,
     ])
+}
+
+/// Rise of the target ahead, and PIP above the target, scaled.
+fn future(graph: &mut Builder, seen: &Seen, spec: &FeatureSpec) -> (Value, Value) {
+    let scale = graph.number(ERROR_SCALE);
+    let ahead = graph.row(&spec.target_ahead.map(f32::from));
+    let then = graph.add(&seen.tick, &ahead);
+    let height = graph.sub(&seen.pip, &seen.peep);
+    // Where nothing rises, the division by zero is not chosen.
+    let mut target = |tick: &Value| {
+        let done = graph.div(tick, &seen.rise);
+        let risen = graph.mul(&height, &done);
+        let rising = graph.add(&seen.peep, &risen);
+        let rises = graph.less(tick, &seen.rise);
+        graph.choose(&rises, &rising, &seen.pip)
+    };
+    let (then, now) = (target(&then), target(&seen.tick));
+    let rise = graph.sub(&then, &now);
+    let left = graph.sub(&seen.pip, &seen.target);
+    (graph.div(&rise, &scale), graph.div(&left, &scale))
 }
 
 /// The output of the network.

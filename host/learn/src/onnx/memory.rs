@@ -1,7 +1,8 @@
 //! A controller's memory of earlier breaths as part of a graph: what [`shared::control::memory`] does, on columns.
 
 use shared::control::memory::{
-    BINS, COMMANDS_AHEAD, ERRORS_AHEAD, LEARNING, LEAST_BINS, Lesson, NEWEST, SURPRISE,
+    BINS, COMMANDS_AHEAD, ERRORS_AHEAD, LEARNING, LEAST_BINS, Lesson, NEWEST, PIECES as MIDDLES, SECTIONS,
+    SURPRISE,
 };
 
 use crate::graph::state::State;
@@ -33,9 +34,27 @@ pub fn lesson_number(lesson: Lesson) -> f32 {
     }
 }
 
-/// Number of ticks of a bin, and its inverse.
-fn bin(bin_ticks: u32) -> (f32, f32) {
-    (bin_ticks as f32, 1.0 / bin_ticks as f32)
+/// Number of ticks of the running bin, and its inverse.
+fn running_bin(graph: &mut Builder, state: &State, bin_ticks: u32) -> [Value; 2] {
+    let (mut first, mut found) = (0, None);
+    for section in SECTIONS {
+        let ticks = (bin_ticks * section.width) as f32;
+        let own = [ticks, 1.0 / ticks].map(|value| graph.number(value));
+        found = Some(match found {
+            None => own,
+            Some(before) => {
+                let here = graph.at_least(&state.get("running bins"), first as f32);
+                let both: [(Value, Value); 2] = zip(own, before);
+                both.map(|(own, before)| graph.choose(&here, &own, &before))
+            }
+        });
+        first += section.bins;
+    }
+    found.expect("there are sections")
+}
+
+fn zip<T>([a, b]: [T; 2], [c, d]: [T; 2]) -> [(T, T); 2] {
+    [(a, c), (b, d)]
 }
 
 /// Records error and command of a tick, both scaled, in the rows in which `records` holds.
@@ -46,16 +65,16 @@ pub(super) fn record(
     (error, command): (&Value, &Value),
     bin_ticks: u32,
 ) {
-    let (bin_ticks, share) = bin(bin_ticks);
+    let [bin_ticks, share] = running_bin(graph, state, bin_ticks);
     for (sum, value) in [("sum of errors", error), ("sum of commands", command)] {
         let total = graph.add(&state.get(sum), value);
         state.set_where(graph, records, sum, &total);
     }
     let more = graph.shift(&state.get("ticks of the bin"), 1.0);
     state.set_where(graph, records, "ticks of the bin", &more);
-    let full = graph.at_least(&state.get("ticks of the bin"), bin_ticks);
+    let full = graph.op("GreaterOrEqual", &[&state.get("ticks of the bin"), &bin_ticks]);
     let full = graph.and(&full, records);
-    let new = ["sum of errors", "sum of commands"].map(|sum| graph.scale(&state.get(sum), share));
+    let new = ["sum of errors", "sum of commands"].map(|sum| graph.mul(&state.get(sum), &share));
     fill(graph, state, &full, &new);
     for piece in ["sum of errors", "sum of commands", "ticks of the bin"] {
         let cleared = graph.cleared(&full, &state.get(piece));
@@ -155,28 +174,46 @@ pub(super) fn learn(graph: &mut Builder, state: &mut State, learns: &Value, less
     }
 }
 
+/// The bin before each time, in shortest bins since the middle of the first one, and the weight of the bin after it.
+fn place(graph: &mut Builder, time: &Value) -> (Value, Value) {
+    let numbers = |n: usize| [MIDDLES[n].from, MIDDLES[n].bin as f32, MIDDLES[n].rate];
+    let [mut from, mut bin, mut rate] = numbers(0).map(|number| graph.number(number));
+    for n in 1..MIDDLES.len() {
+        let past = graph.at_least(time, MIDDLES[n].from);
+        let own = numbers(n).map(|number| graph.number(number));
+        from = graph.choose(&past, &own[0], &from);
+        bin = graph.choose(&past, &own[1], &bin);
+        rate = graph.choose(&past, &own[2], &rate);
+    }
+    let since = graph.sub(time, &from);
+    let bins = graph.mul(&since, &rate);
+    let whole = graph.op("Floor", &[&bins]);
+    let share = graph.sub(&bins, &whole);
+    (graph.add(&bin, &whole), share)
+}
+
 /// What is remembered of the time after a tick: errors, commands, and 1; zeros if nothing is remembered.
 pub(super) fn recall(graph: &mut Builder, state: &State, tick: &Value, bin_ticks: u32) -> Value {
     let half = graph.number((bin_ticks / 2) as f32);
     let since = graph.sub(tick, &half);
     let zero = graph.number(0.0);
     let since = graph.op("Max", &[&since, &zero]);
-    let bins = graph.number(bin(bin_ticks).0);
-    let exact = graph.div(&since, &bins);
-    let first = graph.op("Floor", &[&exact]);
-    let share = graph.sub(&exact, &first);
+    let bins = graph.number(bin_ticks as f32);
+    let now = graph.div(&since, &bins);
     let filled = state.get("remembered bins");
     let last = graph.shift(&filled, -1.0);
     let last = graph.limit(&last, 0.0, (BINS - 1) as f32);
     let mut parts = Vec::new();
     for (bins, ahead) in [("remembered errors", &ERRORS_AHEAD[..]), ("remembered commands", &COMMANDS_AHEAD)]
     {
-        let [near, far] = [0, 1].map(|further| {
-            let ahead: Vec<f32> = ahead.iter().map(|ahead| (ahead + further) as f32).collect();
-            let ahead = graph.row(&ahead);
-            let place = graph.add(&first, &ahead);
-            let place = graph.op("Min", &[&place, &last]);
-            graph.columns_by_row(&state.get(bins), &place)
+        let ahead: Vec<f32> = ahead.iter().map(|ahead| *ahead as f32).collect();
+        let ahead = graph.row(&ahead);
+        let time = graph.add(&now, &ahead);
+        let (bin, share) = place(graph, &time);
+        let [near, far] = [0.0, 1.0].map(|further| {
+            let bin = graph.shift(&bin, further);
+            let bin = graph.op("Min", &[&bin, &last]);
+            graph.columns_by_row(&state.get(bins), &bin)
         });
         parts.push(graph.towards(&near, &far, &share));
     }

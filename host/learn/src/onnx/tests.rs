@@ -183,7 +183,7 @@ fn the_state_of_every_file_has_the_same_place_and_size_before_and_after_the_step
     let controllers = [residual(&learned(1)), authors(&authors_controller())];
     for file in controllers {
         let [inputs, outputs] = ends(&check_graph(&file));
-        assert_eq!((inputs[0].0.as_str(), inputs[0].1), ("observation", 7));
+        assert_eq!((inputs[0].0.as_str(), inputs[0].1), ("observation", 8));
         assert_eq!((inputs[1].0.as_str(), inputs[1].1), ("state", outputs[1].1));
         assert_eq!([0, 1, 2].map(|n| outputs[n].0.as_str()), ["command", "next_state", "base"]);
     }
@@ -209,21 +209,21 @@ fn a_file_contains_the_weights() {
 fn the_steps_of_a_check_learn_are_surprised_and_forget() {
     let law = Controller::Residual(learned(1));
     let steps = check::controller(&law, 1000);
-    assert_eq!(steps.iter().filter(|step| step.commands.is_some()).count(), 9 * 250);
+    assert_eq!(steps.iter().filter(|step| step.commands.is_some()).count(), 9 * 700);
     // Again, to see what becomes of each lesson.
     let (mut state, mut lessons) = (law.initial_state(), Vec::new());
     for (number, step) in steps.iter().enumerate() {
-        let [pressure, target, pip, peep, applied, time, lesson] = step.observation;
+        let [pressure, target, pip, peep, applied, time, lesson, rise] = step.observation;
         if step.commands.is_none() {
             let lesson: Lesson = [Adopt, Discard, Forget][lesson as usize];
             lessons.push(law.learn(&mut state, lesson));
             continue;
         }
-        let tick = (1000.0 * time).round() as u32;
+        let [tick, rise_ticks] = [time, rise].map(|time| (1000.0 * time).round() as u32);
         if tick == 0 {
             law.start_breath(&mut state, applied);
         }
-        let seen = Observation { pressure, target, pip, peep, tick };
+        let seen = Observation { pressure, target, pip, peep, tick, rise_ticks };
         let output = law.step(&mut state, &seen);
         assert_eq!(step.commands.map(|[command, _]| command.to_bits()), Some(output.command.to_bits()));
         law.applied(&mut state, steps[number + 1].observation[4]);

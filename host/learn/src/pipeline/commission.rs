@@ -37,6 +37,7 @@ use crate::simulator::unit::{PER_UNIT, UnitConfig, UnitNumbers};
 use data::recording::{INSPIRATION, Recording};
 use data::workspace::Workspace;
 use engine::adam::AdamConfig;
+use plant::prescriptions::Prescriptions;
 use progress::{Progress, Task};
 use ventilator::collect::CollectConfig;
 use ventilator::seeds;
@@ -171,8 +172,8 @@ impl CommissionRun {
     /// The default in breaths with these settings and PIPs, cmH2O.
     pub fn of(settings: &Settings, pips: &[f32]) -> Self {
         let mut run = Self::default();
-        run.train = run.train.in_breaths(settings, pips);
-        (run.collect.settings, run.collect.pip_range) = (*settings, run.train.pip_range);
+        run.train.usual = Prescriptions::listed("usual", pips, *settings);
+        (run.collect.settings, run.collect.pip_range) = (*settings, run.train.usual.pip_range());
         run.collect.pips = pips.to_vec();
         run
     }

@@ -29,12 +29,16 @@ use data::workspace::Workspace;
 use engine::adam::AdamConfig;
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
+use plant::prescriptions::Prescriptions;
 use progress::{Progress, Stage};
 use ventilator::collect::{CollectConfig, collect};
 use ventilator::{BenchSource, seeds};
 
 /// Recording units of a family and fitting their simulators: units.
 pub const UNITS: Stage = Stage("record and fit units");
+
+/// Breaths of a unit's recording that vary in more than their PIP.
+const DRAWN_BREATHS: usize = 48;
 
 /// Configuration of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,13 +100,18 @@ struct Claim {
 }
 
 impl FamilyRun {
-    /// The default in the breaths of a family.
-    pub fn of(family: &Family) -> Self {
+    /// The default for a family and these prescriptions.
+    pub fn of(family: &Family, prescriptions: &Prescriptions) -> Self {
         let mut run = Self::default();
-        run.train = run.train.in_breaths(&family.settings, &family.pips);
-        (run.collect.settings, run.collect.pip_range) = (family.settings, run.train.pip_range);
+        run.train.usual = Prescriptions::listed("usual", &family.pips, family.settings);
+        run.train.prescriptions = prescriptions.clone();
         run.gains = family.soft_pid.unwrap_or(run.gains);
+        (run.collect.settings, run.collect.pip_range) = (family.settings, run.train.usual.pip_range());
         run.collect.pips.clone_from(&family.pips);
+        if !prescriptions.are_listed() {
+            run.collect.prescriptions = Some(prescriptions.clone());
+            run.collect.breaths = DRAWN_BREATHS;
+        }
         run
     }
 
@@ -273,7 +282,8 @@ mod tests {
     #[test]
     fn the_familys_soft_pid_lies_under_the_residual() {
         let text = "[family.valve]\nlag_ms = { uniform = [15, 45] }\n";
-        let gains = |text: &str| FamilyRun::of(&Family::from_toml(text).unwrap()).gains;
+        let gains =
+            |text: &str| FamilyRun::of(&Family::from_toml(text).unwrap(), &Prescriptions::default()).gains;
         assert_eq!(gains(text), FamilyRun::default().gains);
         let soft = gains(&format!("{text}[soft_pid]\np = 1\ni = 2\nd = 0"));
         assert_eq!(soft, PidGains { p: 1.0, i: 2.0, d: 0.0 });

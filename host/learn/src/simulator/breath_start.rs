@@ -22,6 +22,9 @@ pub struct BreathStart {
     pub peep: Lane,
     /// Pressure at the end of the last inspiration, cmH2O, which indicates the volume still in the lung.
     pub plateau: Lane,
+    /// Inspiratory and expiratory time of the breath before, s; used only by [`unit`](super::unit), which takes the usual ones if
+    /// they are not known.
+    pub phases: Option<[Lane; 2]>,
     /// Scaled command of the inspiratory valve just before the breath; used only by [`hybrid`](super::hybrid).
     pub rest: Lane,
     /// Scaled command of the inspiratory valve at the end of the last inspiration.
@@ -43,6 +46,7 @@ impl Default for BreathStart {
             pressure: Lane::ZERO,
             peep: Lane::splat(USUAL_PEEP),
             plateau: Lane::ZERO,
+            phases: None,
             rest: Lane::ZERO,
             group: [None; LANES],
             ventilator: [None; LANES],

@@ -27,6 +27,8 @@ pub struct Episode {
     pub start: f32,
     /// Pressure at the end of the previous inspiration, cmH2O.
     pub plateau: f32,
+    /// Inspiratory and expiratory time of the breath before, s; of the first one of a run, those of the episode's own breath.
+    pub phases: [f32; 2],
     /// Scaled command of the inspiratory valve at the end of the previous inspiration.
     pub plateau_command: f32,
     /// PIP of the breath, cmH2O.
@@ -73,8 +75,8 @@ fn cut(
     extent: impl Fn(Range<usize>) -> Range<usize>,
 ) -> Vec<Episode> {
     let average = (shared::math::ticks(AVERAGE_TIME, timing.period_us) as usize).max(1);
-    let ventilators = ventilators(recording);
-    let (mut last_plateau, mut last_command) = (None, None);
+    let (ventilators, period_s) = (ventilators(recording), 1e-6 * timing.period_us as f32);
+    let (mut last_plateau, mut last_command, mut last_rows) = (None, None, None);
     let mut episodes = Vec::new();
     for rows in recording.inspirations() {
         let group = recording.group.as_ref().map(|group| group[rows.start]);
@@ -88,6 +90,7 @@ fn cut(
         let plateau = last_plateau.filter(|_| same_run).unwrap_or(recording.peep[rows.start]);
         let rest = if same_run { rows.start - 1 } else { rows.start };
         let extent = extent(rows.clone());
+        let last_rows: Option<Range<usize>> = last_rows.replace(rows.clone()).filter(|_| same_run);
         episodes.push(Episode {
             pressure: recording.pressure[extent.clone()].to_vec(),
             truth: recording.pressure_true.as_ref().map(|truth| truth[extent.clone()].to_vec()),
@@ -97,6 +100,7 @@ fn cut(
                 .collect(),
             start: mean(&recording.pressure[before]),
             plateau,
+            phases: phases(recording, &rows, last_rows).map(|ticks| ticks as f32 * period_s),
             plateau_command: last_command.filter(|_| same_run).unwrap_or(channel(recording, rest, 0)),
             pip: recording.pip[rows.start],
             peep: recording.peep[rows.start],
@@ -157,6 +161,18 @@ fn follows(recording: &Recording) -> bool {
         let [level, slope] = line.coefficients;
         columns.iter().zip(&values).all(|(row, value)| (value - level - slope * row[1]).abs() < FOLLOWS)
     })
+}
+
+/// Inspiration and expiration of the breath before an inspiration; if that is not known, of its own breath; ticks.
+fn phases(recording: &Recording, rows: &Range<usize>, before: Option<Range<usize>>) -> [usize; 2] {
+    let (inspiration, next) = match before {
+        Some(before) => (before, rows.start),
+        None => {
+            let own = &recording.breath[rows.start..];
+            (rows.clone(), rows.start + own.iter().take_while(|breath| **breath == own[0]).count())
+        }
+    };
+    [inspiration.len(), next - inspiration.end]
 }
 
 /// Scaled command of a channel: 0 is the inspiratory valve, 1 the expiratory one, 2 the oxygen valve.

@@ -126,9 +126,12 @@ impl<'a> Fit<'a> {
     }
 }
 
-/// Loss and gradient of a batch; shards run in parallel and are summed in their order.
+/// Loss and gradient of a batch; shards run in parallel and are summed in their order. A shard takes as long as its longest episode,
+/// so episodes of about the same length share one.
 fn batch_gradient(model: &Model, episodes: &[&Episode], bound: f32) -> Gradient {
-    sum(Shard::cut(episodes).par_iter().map(|shard| shard_gradient(model, shard, bound)).collect())
+    let mut episodes = episodes.to_vec();
+    episodes.sort_by_key(|episode| episode.ticks());
+    sum(Shard::cut(&episodes).par_iter().map(|shard| shard_gradient(model, shard, bound)).collect())
 }
 
 fn sum(parts: Vec<Gradient>) -> Gradient {

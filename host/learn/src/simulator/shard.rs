@@ -40,6 +40,7 @@ impl<'a> Shard<'a> {
             pressure: self.lane(|episode| episode.start),
             peep: self.lane(|episode| episode.peep),
             plateau: self.lane(|episode| episode.plateau),
+            phases: Some([0, 1].map(|phase| self.lane(|episode| episode.phases[phase]))),
             rest: self.lane(|episode| episode.rest[0]),
             group: std::array::from_fn(|l| self.episode(l).group),
             ventilator: std::array::from_fn(|l| self.episode(l).ventilator),

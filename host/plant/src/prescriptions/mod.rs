@@ -50,6 +50,8 @@ const DRAWN: [&str; 8] = [
     "expiratory_bias",
     "pressure_limit",
 ];
+/// Distance by which random PIPs go beyond listed ones, cmH2O.
+const BEYOND_CMH2O: f32 = 2.0;
 /// Names of the shipped prescriptions.
 pub const NAMES: [&str; 2] = ["paper", "bedside"];
 
@@ -221,6 +223,13 @@ impl Prescriptions {
         self.drawn.is_empty()
     }
 
+    /// Range of the listed PIPs, and a little beyond them where that can be run, cmH2O.
+    pub fn pip_range(&self) -> (f32, f32) {
+        let ends = self.pips.iter().fold((f32::INFINITY, 0.0_f32), |(l, h), pip| (l.min(*pip), h.max(*pip)));
+        let allowed = |pip: f32| Settings { pip, ..self.settings }.validate().is_ok().then_some(pip);
+        (allowed(ends.0 - BEYOND_CMH2O).unwrap_or(ends.0), allowed(ends.1 + BEYOND_CMH2O).unwrap_or(ends.1))
+    }
+
     /// Settings of the breaths with this number, from 0, of those that a seed gives.
     pub fn draw(&self, seed: u64, number: u32) -> Settings {
         let drawn = |name: &str| {
@@ -298,6 +307,13 @@ mod tests {
         let pips: Vec<f32> = (0..7).map(|number| paper.draw(9, number).pip).collect();
         assert_eq!(pips, [10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 10.0]);
         assert_eq!(paper.draw(9, 2), Settings::default());
+    }
+
+    #[test]
+    fn random_pips_go_beyond_the_listed_ones_but_not_beyond_the_bounds_of_settings() {
+        let range = |pips: &[f32]| Prescriptions::listed("", pips, Settings::default()).pip_range();
+        assert_eq!(range(&PAPER_PIPS), (8.0, 37.0));
+        assert_eq!(range(&[6.0, 59.0]), (6.0, 59.0));
     }
 
     #[test]

@@ -168,7 +168,7 @@ impl PolicyLink {
 
     /// The policy's command, percent; none if there is none or it cannot be used.
     pub(super) fn command(&mut self, place: Place, seen: &Observation, applied: f32) -> Option<f32> {
-        let Observation { pressure, target, pip, peep, tick } = *seen;
+        let Observation { pressure, target, pip, peep, tick, .. } = *seen;
         let asked = Instant::now();
         let answer = self.ask(place, PolicyMessage::Observe { pressure, target, pip, peep, applied, tick });
         let Some(PolicyMessage::Command { u_in }) = answer else { return None };

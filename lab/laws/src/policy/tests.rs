@@ -139,7 +139,7 @@ fn pid_as_policy() -> Address {
             None
         }
         PolicyMessage::Observe { pressure, target, pip, peep, tick, .. } => {
-            let seen = Observation { pressure, target, pip, peep, tick };
+            let seen = Observation { pressure, target, pip, peep, tick, rise_ticks: 0 };
             Some(Act::Say(PolicyMessage::Command { u_in: law.step(&mut state, &seen, 0.0).command }))
         }
         _ => None,

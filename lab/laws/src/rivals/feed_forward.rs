@@ -222,7 +222,7 @@ mod tests {
     }
 
     fn seen(tick: u32, pressure: f32, target: f32) -> Observation {
-        Observation { pressure, target, pip: target, peep: 5.0, tick }
+        Observation { pressure, target, pip: target, peep: 5.0, tick, rise_ticks: 0 }
     }
 
     /// Runs an inspiration in which the pressure rises to the target within 100 ms.

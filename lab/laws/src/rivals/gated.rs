@@ -235,7 +235,7 @@ mod tests {
     }
 
     fn seen(tick: u32, error: f32) -> Observation {
-        Observation { pressure: 15.0 - error, target: 15.0, pip: 15.0, peep: 5.0, tick }
+        Observation { pressure: 15.0 - error, target: 15.0, pip: 15.0, peep: 5.0, tick, rise_ticks: 0 }
     }
 
     /// Runs an inspiration with this error in each tick, and lets the law learn from it.

@@ -101,7 +101,7 @@ proptest! {
         let mut state = law.initial_state();
         law.start_breath(&mut state, 0.0);
         for (tick, pressure) in (0..).zip(readings.iter().cycle().take(1000)) {
-            let seen = Observation { pressure: *pressure, target: 20.0, pip: 20.0, peep: 5.0, tick };
+            let seen = Observation { pressure: *pressure, target: 20.0, pip: 20.0, peep: 5.0, tick, rise_ticks: 0 };
             let command = law.step(&mut state, &seen).command;
             prop_assert!((0.0..=100.0).contains(&command), "{command}");
             law.applied(&mut state, command);

@@ -101,7 +101,7 @@ mod tests {
     }
 
     fn seen(error: f32) -> Observation {
-        Observation { pressure: 15.0 - error, target: 15.0, pip: 15.0, peep: 5.0, tick: 0 }
+        Observation { pressure: 15.0 - error, target: 15.0, pip: 15.0, peep: 5.0, tick: 0, rise_ticks: 0 }
     }
 
     fn command(law: &VariableGain, error: f32) -> f32 {

@@ -121,6 +121,7 @@ mod tests {
                     pip: 20.0,
                     peep: 5.0,
                     tick,
+                    rise_ticks: 0,
                 };
                 let command = policy.step(&mut state, &seen).command;
                 policy.applied(&mut state, command);

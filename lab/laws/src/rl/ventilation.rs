@@ -221,6 +221,7 @@ impl Inspirations {
                 pip: self.pip[l],
                 peep: self.config.peep,
                 tick: self.tick as u32,
+                rise_ticks: 0,
             };
             for (lane, feature) in self.seen.iter_mut().zip(self.perception.see(memory, &seen)) {
                 lane[l] = feature;
@@ -363,7 +364,7 @@ mod tests {
         lung.begin(&model, &start, &Lane::splat(5.0));
         for tick in 0..=10 {
             let (pressure, pip) = (lung.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);
-            let seen = Observation { pressure, target: pip, pip, peep: 5.0, tick };
+            let seen = Observation { pressure, target: pip, pip, peep: 5.0, tick, rise_ticks: 0 };
             let expected = features.step(&mut state, &seen, 0.0);
             if tick == 10 {
                 task.step(&Lane::splat(16.0));

@@ -8,6 +8,9 @@ use super::*;
 use crate::control::residual::ResidualError;
 use crate::weights::VERSION_AT;
 
+/// Offset of the length of the parameters.
+const PARAMETER_BYTES_AT: usize = 125;
+
 const IDENTITY: Identity = Identity { training: *b"training 0000001", plant: *b"virtual bench   " };
 
 /// Changes bytes and corrects the checksum, as a faulty or malicious packer would.
@@ -33,6 +36,7 @@ fn residual(seed: u64) -> Residual {
         error_averages: [0.001 + unit(), 0.001 + unit()],
         command_averages: [0.001 + unit(), 0.001 + unit()],
         times: [0.001 + unit(), 0.001 + unit(), 0.001 + unit()],
+        target_ahead: [(); 3].map(|()| (127.0 * unit()) as u8),
     };
     let gains = PidGains { p: 5.0 * unit(), i: 50.0 * unit(), d: 0.1 * unit() };
     let spec = ResidualSpec {
@@ -60,7 +64,7 @@ fn the_fields_lie_where_the_table_says() {
     let residual = residual(1);
     let (bytes, spec) = (packed(&residual), residual.spec());
     let real = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()).to_bits();
-    assert_eq!(&bytes[..16], b"EUPN\x03\0\x02\0\x20\0\x20\0\x10\0\x01\0");
+    assert_eq!(&bytes[..16], b"EUPN\x04\0\x03\0\x24\0\x20\0\x10\0\x01\0");
     assert_eq!(bytes[16..20], spec.period_us.to_le_bytes());
     assert_eq!(real(28), spec.gains.d.to_bits());
     assert_eq!((real(32), real(36)), (spec.lambda.to_bits(), spec.authority.to_bits()));
@@ -71,10 +75,11 @@ fn the_fields_lie_where_the_table_says() {
     assert_eq!(real(54), spec.features.error_averages[0].to_bits());
     assert_eq!(real(66), spec.features.command_averages[1].to_bits());
     assert_eq!(real(78), spec.features.times[2].to_bits());
-    assert_eq!((&bytes[82..98], &bytes[98..114]), (&IDENTITY.training[..], &IDENTITY.plant[..]));
-    assert_eq!(bytes[114..118], golden(&residual).last.to_le_bytes());
-    assert_eq!(bytes[118..122], golden(&residual).all.to_le_bytes());
-    assert_eq!(bytes[122..126], (PARAMETER_BYTES as u32).to_le_bytes());
+    assert_eq!(bytes[82..85], spec.features.target_ahead);
+    assert_eq!((&bytes[85..101], &bytes[101..117]), (&IDENTITY.training[..], &IDENTITY.plant[..]));
+    assert_eq!(bytes[117..121], golden(&residual).last.to_le_bytes());
+    assert_eq!(bytes[121..125], golden(&residual).all.to_le_bytes());
+    assert_eq!(bytes[125..129], (PARAMETER_BYTES as u32).to_le_bytes());
     assert_eq!(real(HEADER_BYTES), residual.network().hidden_1.weights[0][0].to_bits());
     assert_eq!(bytes[VERSION_AT..HEADER_BYTES], [0; 4]);
     assert_eq!(real(SIGNED_BYTES - 4), residual.network().output.bias[0].to_bits());
@@ -114,10 +119,13 @@ fn an_erased_slot_is_no_image_and_the_rest_of_a_slot_is_ignored() {
 fn an_image_made_for_something_else_is_refused_with_the_reason() {
     assert_eq!(decode(&forged(|b| b[4] = 1)), Err(WeightsError::Version(1)));
     assert_eq!(decode(&forged(|b| b[6] = 9)), Err(WeightsError::Architecture(9)));
-    assert_eq!(decode(&forged(|b| b[10] = 64)), Err(WeightsError::Shape([32, 64, 16, 1])));
+    assert_eq!(
+        decode(&forged(|b| b[10] = 64)),
+        Err(WeightsError::Shape([Network::SHAPE[0] as u16, 64, 16, 1]))
+    );
     assert_eq!(decode(&forged(|b| b[16..20].fill(0))), Err(WeightsError::Spec(ResidualError::Period(0))));
     let (have, need) = (IMAGE_BYTES, IMAGE_BYTES + 0x40);
-    let longer = decode(&forged(|b| b[122] ^= 0x40));
+    let longer = decode(&forged(|b| b[PARAMETER_BYTES_AT] ^= 0x40));
     assert_eq!(longer, Err(WeightsError::Length { have, need }));
 }
 
@@ -126,14 +134,15 @@ fn a_smaller_sound_image_of_another_architecture_is_not_called_damaged() {
     let mut bytes = packed(&residual(1));
     let end = HEADER_BYTES + SIGNATURE_BYTES;
     bytes.truncate(end);
-    (bytes[6], bytes[122], bytes[123]) = (1, 0, 0);
+    bytes[6] = 1;
+    bytes[PARAMETER_BYTES_AT..PARAMETER_BYTES_AT + 2].fill(0);
     let checksum = crc32(&bytes);
     bytes.extend(checksum.to_le_bytes());
     assert_eq!(decode(&bytes), Err(WeightsError::Architecture(1)));
-    bytes[6] = 2;
+    bytes[6] = ARCHITECTURE as u8;
     let checksum = crc32(&bytes[..end]);
     bytes[end..].copy_from_slice(&checksum.to_le_bytes());
-    assert_eq!(decode(&bytes), Err(WeightsError::Shape([32, 32, 16, 1])));
+    assert_eq!(decode(&bytes), Err(WeightsError::Shape(Network::SHAPE.map(|size| size as u16))));
 }
 
 #[test]
@@ -157,7 +166,7 @@ fn a_specification_out_of_bounds_is_refused_in_spite_of_its_checksum() {
 
 #[test]
 fn an_altered_golden_value_or_controller_is_refused_in_spite_of_its_checksum() {
-    for at in [114, 118] {
+    for at in [117, 121] {
         assert_eq!(decode(&forged(|b| b[at] ^= 1)), Err(WeightsError::Golden));
     }
     assert_eq!(decode(&forged(|b| put(b, 24, 3.0))), Err(WeightsError::Golden));

@@ -209,9 +209,9 @@ impl LanePart for AuthorsLanes {
         ConvolutionTape::new(ticks)
     }
 
-    fn start(&self, _scenario: &Scenario) {}
+    fn start<'a>(&'a self, _scenario: &'a Scenario) {}
 
-    fn start_back(&self, _scenario: &Scenario, tape: &mut ConvolutionTape) {
+    fn start_back<'a>(&'a self, _scenario: &'a Scenario, tape: &mut ConvolutionTape) {
         tape.start_back();
     }
 
@@ -243,7 +243,7 @@ impl LanePart for AuthorsLanes {
         averages::backward(d_averages, tick, self.spacing, &mut d_signals.error);
     }
 
-    fn finish(&self, tape: &ConvolutionTape, gradient: &mut [f32]) {
+    fn finish(&self, tape: &ConvolutionTape, _ticks: usize, gradient: &mut [f32]) {
         Convolution::finish(tape, gradient);
     }
 }

@@ -59,7 +59,8 @@ fn lanes_and_law_give_the_same_commands() {
         for tick in 0..scenario.ticks {
             let pip = scenario.pip[l];
             let pressure = pip - tape.signals().error[tick][l];
-            let seen = Observation { pressure, target: pip, pip, peep: 5.0, tick: tick as u32 };
+            let seen =
+                Observation { pressure, target: pip, pip, peep: 5.0, tick: tick as u32, rise_ticks: 0 };
             let command = controller.step(&mut state, &seen).command;
             assert!((command - tape.signals().command[tick][l]).abs() < 1e-2, "tick {tick}");
         }
@@ -107,7 +108,8 @@ fn only_errors_are_seen() {
         let command = |tick: u32| {
             let (pip, peep) = (20.0 + offset, 5.0 + 0.1 * offset);
             let pressure = pip - 10.0 + 0.125 * tick as f32;
-            let seen = Observation { pressure, target: pip, pip, peep, tick: tick + applied as u32 };
+            let seen =
+                Observation { pressure, target: pip, pip, peep, tick: tick + applied as u32, rise_ticks: 0 };
             let command = controller.step(&mut state, &seen).command;
             controller.applied(&mut state, applied);
             command
@@ -123,8 +125,14 @@ fn an_error_is_remembered_for_nine_spacings_and_no_longer() {
     let controller = AuthorsController::new(flat, &parameters()).unwrap();
     let command_after = |first_error: f32, ticks: usize| {
         let mut state = controller.initial_state();
-        let seen =
-            |error| Observation { pressure: 20.0 - error, target: 20.0, pip: 20.0, peep: 5.0, tick: 0 };
+        let seen = |error| Observation {
+            pressure: 20.0 - error,
+            target: 20.0,
+            pip: 20.0,
+            peep: 5.0,
+            tick: 0,
+            rise_ticks: 0,
+        };
         controller.step(&mut state, &seen(first_error));
         (0..ticks).map(|_| controller.step(&mut state, &seen(1.0)).command).last().unwrap().to_bits()
     };

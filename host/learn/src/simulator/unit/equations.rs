@@ -6,9 +6,9 @@ use super::{PER_UNIT, UnitConfig, VALVE, lung, valve};
 use crate::simulator::trajectory::Equations;
 
 /// What is given for a breath: the logarithms of a unit's numbers; pressure, PEEP and the last plateau,
-/// cmH2O; the command at rest, percent.
+/// cmH2O; inspiratory and expiratory time of the breath before, s; the command at rest, percent.
 pub(super) const GIVEN: usize = PER_UNIT + KNOWN;
-const KNOWN: usize = 4;
+const KNOWN: usize = 6;
 /// Numbers of a breath: those of [`valve::numbers`], full flow, supply, those of [`lung::numbers`].
 pub(super) const NUMBERS: usize = valve::NUMBERS + 2 + lung::NUMBERS;
 /// Pieces of the state: actuator, stem, expiratory opening, airway, alveolar and sensed pressure.
@@ -19,18 +19,16 @@ pub(super) const SENSED: usize = STATE - 1;
 /// cmH2O.
 pub(super) const INPUTS: usize = 3;
 
-/// Times in the equations, s.
+/// The equations at a control period.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UnitEquations {
+    /// Control period, s.
     tick: f32,
-    /// Inspiration and expiration.
-    phases: [f32; 2],
 }
 
 impl UnitEquations {
     pub fn new(config: &UnitConfig) -> Self {
-        let phases = [config.inspiration_ms, config.expiration_ms].map(|ms| ms as f32 * 1e-3);
-        Self { tick: config.timing.block_s(), phases }
+        Self { tick: config.timing.block_s() }
     }
 
     /// Dead time of a unit in ticks.
@@ -48,15 +46,15 @@ impl UnitEquations {
         std::array::from_fn(|n| all[n])
     }
 
-    /// Share of the last plateau above PEEP that is still in the lung when a breath starts.
-    pub fn left<Q: Number>(&self, unit: &[Q; PER_UNIT]) -> Q {
+    /// Share of the last plateau above PEEP that is still in the lung when a breath starts, after breaths of these phases, s.
+    pub fn left<Q: Number>(unit: &[Q; PER_UNIT], phases: [Q; 2]) -> Q {
         let [r, c, outward] = [lung::RESISTANCE, lung::COMPLIANCE, lung::OUTWARD].map(|n| unit[VALVE + n]);
-        lung::left_in_lung(self.phases, [r, c, outward])
+        lung::left_in_lung(phases, [r, c, outward])
     }
 
     /// The state in which a breath starts: the valve at rest, the expiratory valve open, and this share left
     /// in the lung. The valve was closed before, so the stem was last pushed open and follows without play.
-    pub fn start<Q: Number>(left: Q, [pressure, peep, plateau, rest]: [Q; KNOWN]) -> [Q; STATE] {
+    pub fn start<Q: Number>(left: Q, [pressure, peep, plateau, rest]: [Q; 4]) -> [Q; STATE] {
         let alveolar = peep + (plateau - peep) * left;
         [rest, rest, pressure.constant(1.0), pressure, alveolar, pressure]
     }
@@ -64,9 +62,10 @@ impl UnitEquations {
 
 impl Equations<GIVEN, NUMBERS, STATE, INPUTS> for UnitEquations {
     fn begin<Q: Number>(&self, given: [Q; GIVEN]) -> ([Q; NUMBERS], [Q; STATE]) {
-        let [logarithms @ .., pressure, peep, plateau, rest] = given;
+        let [logarithms @ .., pressure, peep, plateau, inspiration, expiration, rest] = given;
         let unit = logarithms.map(Q::exp);
-        (self.numbers(unit), Self::start(self.left(&unit), [pressure, peep, plateau, rest]))
+        let left = Self::left(&unit, [inspiration, expiration]);
+        (self.numbers(unit), Self::start(left, [pressure, peep, plateau, rest]))
     }
 
     #[inline]

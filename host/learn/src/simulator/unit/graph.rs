@@ -38,7 +38,8 @@ pub(super) fn unit(
 
     let symbols = Symbols::new(graph);
     let known = [block.pressure(), block.peep(), block.plateau(), &rest].map(|value| symbols.of(value));
-    let first = UnitEquations::start(symbols.constant(equations.left(&unit)[0]), known).map(Symbol::value);
+    let left = UnitEquations::left(&unit, config.phases().map(Lane::splat))[0];
+    let first = UnitEquations::start(symbols.constant(left), known).map(Symbol::value);
     for (piece, value) in PIECES.iter().zip(&first) {
         state.set_where(graph, &block.begins, piece, value);
     }

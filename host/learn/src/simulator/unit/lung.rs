@@ -45,11 +45,12 @@ pub(super) fn numbers<Q: Number>(
 
 /// Share of the last plateau above PEEP that is still in the lung, for inspiratory and expiratory time, s, and a lung's R, C and
 /// resistance of the expiratory path: filled through R, emptied through both.
-pub(super) fn left_in_lung<Q: Number>([inspiration, expiration]: [f32; 2], [r, c, outward]: [Q; 3]) -> Q {
+pub(super) fn left_in_lung<Q: Number>([inspiration, expiration]: [Q; 2], [r, c, outward]: [Q; 3]) -> Q {
     let (one, ml) = (r.constant(1.0), r.constant(ML_PER_L));
     let (filling, emptying) = (r * c / ml, (r + outward) * c / ml);
-    let unfilled = (r.constant(-inspiration) / filling).exp();
-    let left = (r.constant(-expiration) / emptying).exp();
+    let zero = r.constant(0.0);
+    let unfilled = ((zero - inspiration) / filling).exp();
+    let left = ((zero - expiration) / emptying).exp();
     (one - unfilled) * left / (one - unfilled * left)
 }
 

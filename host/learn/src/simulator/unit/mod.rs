@@ -73,9 +73,9 @@ pub struct UnitConfig {
     pub timing: Timing,
     /// Number of units.
     pub units: usize,
-    /// Inspiratory time of the breaths, ms.
+    /// Inspiratory time of a breath of which nothing else is known, ms.
     pub inspiration_ms: u32,
-    /// Expiratory time of the breaths, ms.
+    /// Its expiratory time, ms.
     pub expiration_ms: u32,
 }
 
@@ -96,6 +96,11 @@ impl UnitConfig {
             inspiration_ms: ms(settings.inspiratory_time),
             expiration_ms: ms(breath_s - settings.inspiratory_time),
         }
+    }
+
+    /// Inspiratory and expiratory time of the breaths, s.
+    fn phases(&self) -> [f32; 2] {
+        [self.inspiration_ms, self.expiration_ms].map(|ms| ms as f32 * 1e-3)
     }
 
     /// Initial parameters: usual numbers for every unit.
@@ -185,8 +190,10 @@ impl Units {
     /// Starts the breath from commands at rest: after them for long enough, the actuator has reached its
     /// command.
     fn start(&mut self, rest: &Lane) {
-        let BreathStart { pressure, peep, plateau, .. } = self.start;
-        let known = [pressure, peep, plateau, rest.map(|command| COMMAND_SCALE * command)];
+        let BreathStart { pressure, peep, plateau, phases, .. } = self.start;
+        let [inspiration, expiration] = phases.unwrap_or_else(|| self.config.phases().map(Lane::splat));
+        let rest = rest.map(|command| COMMAND_SCALE * command);
+        let known = [pressure, peep, plateau, inspiration, expiration, rest];
         let given =
             std::array::from_fn(|n| n.checked_sub(PER_UNIT).map_or_else(|| self.parameter(n), |n| known[n]));
         self.dead_time =

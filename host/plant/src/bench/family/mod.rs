@@ -31,7 +31,6 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
 use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
 use shared::settings::{Settings, SettingsError};
