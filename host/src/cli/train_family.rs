@@ -51,9 +51,10 @@ pub struct Args {
     /// Largest amplitude of a ripple late in the inspiration, in the pressure or in its reading, cmH2O: it trains for stability margins
     #[arg(long, value_name = "CMH2O", value_parser = not_negative, default_value_t = FamilyRun::default().train.ripple)]
     ripple: f32,
-    /// Share of the breaths whose ripple is in the pressure itself, not in its reading
-    #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = FamilyRun::default().train.pressure_ripple_share)]
-    pressure_ripple_share: f32,
+    /// Share of the breaths in which the loop gets half or twice its gain, or 10 ms more dead time, once the pressure should have settled: it
+    /// trains for stability margins
+    #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = FamilyRun::default().train.strain_share)]
+    strain: f32,
     #[command(flatten)]
     result: ResultArgs,
 }
@@ -107,7 +108,7 @@ impl Args {
         config.train.batch = self.batch;
         config.train.effort_price = self.effort_price;
         config.train.ripple = self.ripple;
-        config.train.pressure_ripple_share = self.pressure_ripple_share;
+        config.train.strain_share = self.strain;
         Ok(config)
     }
 }

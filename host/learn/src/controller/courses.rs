@@ -230,10 +230,11 @@ impl Ripple {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use plant::prescriptions::Prescriptions;
     use rand_chacha::rand_core::SeedableRng;
 
     fn courses(config: &FamilyConfig) -> Courses {
-        Courses::new(50, 1000, config, &mut ChaCha8Rng::seed_from_u64(4))
+        Courses::new(50, 1000, 0.9, config, &mut ChaCha8Rng::seed_from_u64(4))
     }
 
     #[test]
@@ -244,10 +245,10 @@ mod tests {
             ..FamilyConfig::default()
         };
         let (mut courses, rng) = (courses(&config), &mut ChaCha8Rng::seed_from_u64(5));
-        let before = (courses.machine, courses.lung, courses.pip, courses.noise);
+        let before = (courses.machine, courses.lung, courses.settings, courses.noise);
         courses.breath = [1; LANES];
         (0..100).for_each(|_| courses.pass(&config, rng));
-        assert_eq!((courses.machine, courses.lung, courses.pip, courses.noise), before);
+        assert_eq!((courses.machine, courses.lung, courses.settings, courses.noise), before);
     }
 
     #[test]
@@ -273,14 +274,56 @@ mod tests {
     }
 
     #[test]
+    fn the_courses_of_a_shard_share_their_inspiratory_time_and_differ_in_all_else_that_is_drawn() {
+        let prescriptions = Prescriptions::find("bedside").unwrap();
+        let config = FamilyConfig { prescriptions, usual_share: 0.5, ..FamilyConfig::default() };
+        let rng = &mut ChaCha8Rng::seed_from_u64(5);
+        let mut of = |place| Courses::new(50, 1000, place, &config, rng);
+        let (usual, drawn) = (of(0.4), of(0.6));
+        assert!(usual.settings.iter().all(|s| Settings { pip: 20.0, ..*s } == Settings::default()));
+        let times = drawn.settings.map(|s| s.inspiratory_time.to_bits());
+        assert!(
+            times.iter().all(|time| *time == times[0]) && drawn.settings.iter().all(|s| s.validate().is_ok())
+        );
+        for value in [|s: &Settings| s.peep, |s: &Settings| s.rate, |s: &Settings| s.expiratory_bias] {
+            assert_ne!(value(&drawn.settings[0]).to_bits(), value(&drawn.settings[1]).to_bits());
+        }
+        let scenario = drawn.scenario(&config, &mut ChaCha8Rng::seed_from_u64(5));
+        assert_eq!(scenario.ticks, (1000.0 * drawn.inspiratory_time).round() as usize);
+        assert_eq!(scenario.prescribed.peep.0, drawn.settings.map(|s| s.peep));
+    }
+
+    #[test]
+    fn loops_are_strained_as_often_as_configured() {
+        let config = FamilyConfig { strain_share: 0.3, ..FamilyConfig::default() };
+        let (mut courses, rng) = (courses(&config), &mut ChaCha8Rng::seed_from_u64(5));
+        let mut counts = [0; 4];
+        for _ in 0..1000 {
+            courses.pass(&config, rng);
+            for l in 0..LANES {
+                let kind = match (courses.strain.gain[l], courses.strain.delay[l]) {
+                    (gain, 0) if gain > 1.5 => 0,
+                    (gain, 0) if gain < 0.8 => 1,
+                    (_, 10) => 2,
+                    (_, _) => 3,
+                };
+                counts[kind] += 1;
+            }
+        }
+        for (count, share) in counts.iter().zip([0.1, 0.1, 0.1, 0.7]) {
+            assert!((*count as f32 / (1000 * LANES) as f32 - share).abs() < 0.02, "{counts:?}");
+        }
+    }
+
+    #[test]
     fn a_first_breath_begins_with_a_closed_valve_and_early_breaths_weigh_more() {
         let config = FamilyConfig { early_weights: [3.0, 2.0], ..FamilyConfig::default() };
         let mut courses = courses(&config);
         (courses.breath[1], courses.breath[2]) = (4, 1);
-        let scenario = courses.scenario(&config, 5, &mut ChaCha8Rng::seed_from_u64(5));
+        let scenario = courses.scenario(&config, &mut ChaCha8Rng::seed_from_u64(5));
         assert_eq!(
             [scenario.rest[0], scenario.rest[1]].map(f32::to_bits),
-            [0.0, config.rest].map(f32::to_bits)
+            [0.0, courses.settings[1].expiratory_bias].map(f32::to_bits)
         );
         let mut weights = |score: f32| {
             let weights = courses.weights(&Lane::splat(score), &config);
@@ -294,10 +337,10 @@ mod tests {
     #[test]
     fn a_ripple_begins_late_in_the_inspiration_with_each_lane_s_own_frequency() {
         let config = FamilyConfig { noise: (1e-6, 2e-6), ripple: 0.5, ..FamilyConfig::default() };
-        let scenario = courses(&config).scenario(&config, 1000, &mut ChaCha8Rng::seed_from_u64(5));
+        let scenario = courses(&config).scenario(&config, &mut ChaCha8Rng::seed_from_u64(5));
         let largest = |part: &[Lane], l: usize| part.iter().map(|noise| noise[l].abs()).fold(0.0, f32::max);
         let rippled = [&scenario.noise, &scenario.pull].map(|disturbance| {
-            let (before, after) = disturbance.split_at(late(1000));
+            let (before, after) = disturbance.split_at(settled(1000, 0, 200));
             assert!((0..LANES).all(|l| largest(before, l) < 1e-4 && largest(after, l) <= 0.5 + 1e-4));
             (0..LANES).filter(|l| largest(after, *l) > 1e-3).count()
         });
@@ -305,7 +348,7 @@ mod tests {
             rippled.iter().all(|lanes| *lanes > 0) && rippled.iter().sum::<usize>() <= LANES,
             "{rippled:?}"
         );
-        let after = scenario.noise.split_at(late(1000)).1;
+        let after = scenario.noise.split_at(settled(1000, 0, 200)).1;
         let crossings = |l: usize| after.windows(2).filter(|pair| pair[0][l] * pair[1][l] < 0.0).count();
         let counts: Vec<usize> = (0..LANES).map(crossings).collect();
         assert_ne!(counts.iter().min(), counts.iter().max(), "{counts:?}");

@@ -1,5 +1,4 @@
-//! The PID under the residual over lanes, forward and backward: the same as [`shared::control::pid`] on the chip, for a
-//! target that is constant within an inspiration.
+//! The PID under the residual over lanes, forward and backward: the same as [`shared::control::pid`] on the chip.
 
 use engine::{LANES, Lane};
 use shared::control::COMMAND_MAX;
@@ -31,18 +30,20 @@ impl PidTape {
     }
 }
 
-/// The command of a tick, percent, from the errors up to that tick (cmH2O) and the residual (percent).
+/// The command of a tick, percent, from the errors up to that tick and the rise of the target since the last one (cmH2O), and the
+/// residual (percent).
 pub(super) fn forward(
     pid: &Pid,
     state: &mut PidLanes,
     tape: &mut PidTape,
-    errors: &[Lane],
+    (errors, rise): (&[Lane], &Lane),
     residual: &Lane,
     tick: usize,
 ) -> Lane {
     let error = errors[tick];
-    // A rise of the pressure is a fall of the error.
-    let change = if tick == 0 { Lane::ZERO } else { errors[tick - 1].zip(&error, |a, b| a - b) };
+    // The pressure rises as far as the error falls behind the target.
+    let mut change = if tick == 0 { Lane::ZERO } else { errors[tick - 1].zip(&error, |a, b| a - b) };
+    change.add_scaled(1.0, rise);
     let (factor, scale) = (pid.derivative_factor(), pid.derivative_scale());
     state.derivative = state.derivative.zip(&change, |d, c| d + factor * (-scale * c - d));
     let (gain, step) = (pid.gains().p, pid.integral_step());
@@ -102,7 +103,8 @@ mod tests {
         let mut state = PidLanes::default();
         (0..TICKS)
             .map(|tick| {
-                let command = forward(pid, &mut state, tape, errors, &residuals[tick], tick);
+                let seen = (errors, &Lane::splat(0.1));
+                let command = forward(pid, &mut state, tape, seen, &residuals[tick], tick);
                 (0..LANES).map(|l| f64::from(weight(tick)[l] * command[l])).sum::<f64>()
             })
             .sum()

@@ -122,40 +122,13 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         tape.correction[tick] = correction;
         let authority = self.fixed.spec().authority;
         let residual = limit(&correction, -authority, authority);
-        let errors = &tape.signals.error;
+        let errors = (&tape.signals.error[..], &scenario.prescribed.rise(tick));
         let command = pid::forward(self.fixed.pid(), pid, &mut tape.pid, errors, &residual, tick);
 
         tape.signals.command[tick] = command;
         self.learned.applied(learned, &command);
-        let strained = self.strained(scenario, &tape.signals.command, &mut carried.level, tick);
+        let strained = strained(scenario, &tape.signals.command, &mut carried.level, tick);
         tape.simulator.advance(&strained);
-    }
-
-    /// What reaches the plant of the commands up to a tick, percent.
-    fn strained(&self, scenario: &Scenario, commands: &[Lane], level: &mut Lane, tick: usize) -> Lane {
-        let Strain { gain, delay } = &scenario.strain;
-        Lane::from_fn(|l| {
-            let now = commands[tick][l];
-            if !scenario.strain.is_on(l) || tick < scenario.settled[l] {
-                level[l] += LEVEL_SHARE * (now - level[l]);
-                return now;
-            }
-            let change = commands[tick.saturating_sub(delay[l])][l] - level[l];
-            math::limit(level[l] + gain[l] * change, 0.0, COMMAND_MAX)
-        })
-    }
-
-    /// Backward pass of [`Self::strained`]: adds the gradients with respect to the commands. The level counts as given.
-    fn strained_back(scenario: &Scenario, d_plant: &Lane, d_commands: &mut [Lane], tick: usize) {
-        let Strain { gain, delay } = &scenario.strain;
-        for l in 0..LANES {
-            let (factor, then) = if !scenario.strain.is_on(l) || tick < scenario.settled[l] {
-                (1.0, tick)
-            } else {
-                (gain[l], tick.saturating_sub(delay[l]))
-            };
-            d_commands[then][l] += factor * d_plant[l];
-        }
     }
 
     /// Adds the gradient of the weighted loss with respect to the network's parameters.
@@ -179,7 +152,8 @@ impl<'a, C: Trainable> LaneController<'a, C> {
     ) {
         let Carried { pid, learned, .. } = back;
         let d_signals = &mut tape.d_signals;
-        Self::strained_back(scenario, &tape.simulator.command_gradient(tick), &mut d_signals.command, tick);
+        let d_plant = tape.simulator.command_gradient(tick);
+        strained_back(scenario, &d_plant, &mut d_signals.command, &mut back.level, tick);
         let mut d_command = d_signals.command[tick];
         d_command.add_scaled(1.0, &loss::effort_slope(scenario, &tape.signals.command, tick));
         self.learned.applied_back(learned, &mut d_command);
@@ -196,6 +170,45 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         let d_pressure =
             loss::slope(scenario, &tape.pressure[tick], tick).zip(&d_signals.error[tick], |loss, d| loss - d);
         tape.simulator.add_pressure_gradient(tick, &d_pressure);
+    }
+}
+
+/// Whether the loop of a rollout is strained at a tick.
+fn is_strained(scenario: &Scenario, l: usize, tick: usize) -> bool {
+    scenario.strain.is_on(l) && tick >= scenario.settled[l]
+}
+
+/// What reaches the plant of the commands up to a tick, percent, and the mean of the recent commands before the strain.
+fn strained(scenario: &Scenario, commands: &[Lane], level: &mut Lane, tick: usize) -> Lane {
+    let Strain { gain, delay } = &scenario.strain;
+    Lane::from_fn(|l| {
+        let now = commands[tick][l];
+        if !is_strained(scenario, l, tick) {
+            level[l] += LEVEL_SHARE * (now - level[l]);
+            return now;
+        }
+        let change = commands[tick.saturating_sub(delay[l])][l] - level[l];
+        math::limit(level[l] + gain[l] * change, 0.0, COMMAND_MAX)
+    })
+}
+
+/// Backward pass of [`strained`]: adds the gradients with respect to the commands; `level` is that of the mean.
+fn strained_back(
+    scenario: &Scenario,
+    d_plant: &Lane,
+    d_commands: &mut [Lane],
+    level: &mut Lane,
+    tick: usize,
+) {
+    let Strain { gain, delay } = &scenario.strain;
+    for l in 0..LANES {
+        if is_strained(scenario, l, tick) {
+            d_commands[tick.saturating_sub(delay[l])][l] += gain[l] * d_plant[l];
+            level[l] += (1.0 - gain[l]) * d_plant[l];
+        } else {
+            d_commands[tick][l] += d_plant[l] + LEVEL_SHARE * level[l];
+            level[l] *= 1.0 - LEVEL_SHARE;
+        }
     }
 }
 

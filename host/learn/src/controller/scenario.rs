@@ -39,6 +39,12 @@ impl Prescribed {
         Self::new(ticks, pip, Lane::splat(peep), [0; LANES])
     }
 
+    /// Rise of the target from the tick before, cmH2O; none at the first.
+    pub fn rise(&self, tick: usize) -> Lane {
+        let before = &self.target[tick.saturating_sub(1)];
+        self.target[tick].zip(before, |now, before| now - before)
+    }
+
     /// Target at a tick, cmH2O.
     #[inline]
     pub fn target(&self, tick: usize) -> &Lane {

@@ -76,6 +76,7 @@ fn a_lung_held_out_is_in_no_other_part() {
         rest: vec![0.1; 2],
         start: 5.0,
         plateau: 5.0,
+        phases: [1.0, 2.0],
         plateau_command: 0.1,
         pip: 15.0,
         peep: 5.0,

@@ -57,7 +57,7 @@ fn lanes_and_law_give_the_same_commands() {
         let mut state = controller.initial_state();
         controller.start_breath(&mut state, 5.0);
         for tick in 0..scenario.ticks {
-            let pip = scenario.pip[l];
+            let pip = scenario.prescribed.pip[l];
             let pressure = pip - tape.signals().error[tick][l];
             let seen =
                 Observation { pressure, target: pip, pip, peep: 5.0, tick: tick as u32, rise_ticks: 0 };
