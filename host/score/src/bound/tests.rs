@@ -10,7 +10,7 @@ use super::bench_breath::BenchBreath;
 use super::descent::Descent;
 use super::shape::CommandShape;
 use super::*;
-use crate::evaluate::{evaluate, trace};
+use crate::evaluate::{at_pips, evaluate, trace};
 use plant::bench::{BenchError, LeakChange, SensorConfig, ValveConfig};
 use ventilator::BenchSource;
 
@@ -27,7 +27,13 @@ fn pid(gains: PidGains) -> Controller {
 }
 
 fn plan(pips: &[f32]) -> Plan {
-    Plan { pips: pips.to_vec(), breaths: 1, warm_up: 8, seeds: vec![1], ..Plan::default() }
+    Plan {
+        waveforms: at_pips(pips, &Settings::default()),
+        breaths: 1,
+        warm_up: 8,
+        seeds: vec![1],
+        ..Plan::default()
+    }
 }
 
 fn bound(
@@ -212,7 +218,7 @@ fn a_triggered_sequence_is_scored_as_on_the_ventilator() {
 #[test]
 fn no_commands_make_up_for_a_strong_effort_at_a_low_pip() {
     let bench = BenchConfig::paper(20.0, 20.0);
-    let patient = triggering(&bench, 10.0, &plan(&[10.0]).settings, DEFAULT_PERIOD_US).unwrap();
+    let patient = triggering(&bench, 10.0, &paper_settings(10.0), DEFAULT_PERIOD_US).unwrap();
     let of = |bench: &BenchConfig| found(bench, &[10.0], &BoundConfig::default()).mean.score;
     let (passive, triggered) = (of(&bench), of(&patient));
     assert!(triggered > 5.0 * passive, "{passive} {triggered}");

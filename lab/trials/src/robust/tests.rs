@@ -20,6 +20,7 @@ fn question(breaths: u32, subset: u32) -> Question {
         controller: "PID".to_owned(),
         family_pid: KNOWN_GOOD,
         seed: 1,
+        prescriptions: Prescriptions::default(),
         breaths,
         subset,
     }
@@ -154,7 +155,7 @@ fn a_later_breath_may_be_worse_by_the_larger_of_a_share_and_a_pressure() {
 #[test]
 fn a_loop_that_rings_is_unstable_and_a_lung_that_still_fills_is_not() {
     let unstable = |bench: BenchConfig, gains| {
-        let run = PlantRun { bench, ..PlantRun::new(&family(), 1, 3, 2) };
+        let run = PlantRun { bench, ..PlantRun::new(&family(), &Prescriptions::default(), 1, 3, 2) };
         breaths(&run, &rivals::pid(gains).unwrap()).unwrap().unstable
     };
     let mut slow = BenchConfig::paper(5.0, 100.0);
@@ -193,14 +194,15 @@ fn the_plants_own_pid_beats_that_of_others_and_no_pid_beats_the_bound() {
     let found = Summary::of(&tested(&question(6, 2), None, 2));
     assert_eq!(found.subset, 2);
     assert!(found.bound_ratio.iter().all(|ratio| ratio.is_some_and(|ratio| ratio > 1.0)), "{found:?}");
-    let run = PlantRun::new(&family(), 1, 0, 6);
+    let run = PlantRun::new(&family(), &Prescriptions::default(), 1, 0, 6);
     let last = |gains| breaths(&run, &rivals::pid(gains).unwrap()).unwrap().scored[1].score;
     assert!(last(rivals::own_pid(&run).unwrap()) <= last(SOUND));
 }
 
 #[test]
 fn plants_take_turns_at_the_papers_waveforms_and_have_noise_of_their_own() {
-    let runs: Vec<_> = (0..7).map(|number| PlantRun::new(&family(), 1, number, 1)).collect();
+    let runs: Vec<_> =
+        (0..7).map(|number| PlantRun::new(&family(), &Prescriptions::default(), 1, number, 1)).collect();
     let pips: Vec<_> = runs.iter().map(|run| run.settings.pip).collect();
     assert_eq!(pips, [10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 10.0]);
     assert_ne!(runs[0].noise, runs[6].noise);
