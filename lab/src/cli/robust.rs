@@ -173,6 +173,12 @@ fn shown(
     context.table(&table(&summary));
     context.table(&failures(&summary));
     context.table(&worst(&summary));
+    if summary.cut + summary.family_cut > 0 {
+        context.line(&format!(
+            "the pressure limit ended inspirations on {} plants, under the family's PID on {}",
+            summary.cut, summary.family_cut
+        ));
+    }
     if context.stopped() {
         context.line("stopped: the results are those of the plants so far");
     }

@@ -65,6 +65,8 @@ pub struct PlantBreaths {
     pub scored: Vec<BreathScore>,
     /// Whether the pressure oscillated on the plateau of a breath by more than the plateau may be off.
     pub unstable: bool,
+    /// Whether the pressure limit ended an inspiration.
+    pub cut: bool,
 }
 
 impl PlantBreaths {
@@ -94,6 +96,7 @@ pub fn breaths<C: ControlLaw + Clone>(run: &PlantRun, controller: &C) -> Result<
         }
         let score = record.score(settings, DEFAULT_PERIOD_US);
         found.every.push(score.score);
+        found.cut |= score.cut > 0.0;
         found.unstable |=
             record.oscillation(settings, DEFAULT_PERIOD_US) > 2.0 * plateau_tolerance(settings.pip);
         if SCORED.contains(&number) {

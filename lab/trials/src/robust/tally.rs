@@ -164,6 +164,9 @@ pub struct Failures {
     pub unstable: u64,
     /// Plants on which a breath was worse than the first.
     pub worsened: u64,
+    /// Plants on which the pressure limit ended an inspiration, after which the ventilation went on.
+    #[serde(default)]
+    pub cut: u64,
 }
 
 impl Failures {
@@ -171,12 +174,14 @@ impl Failures {
         self.stopped += u64::from(breaths.every.len() < wanted);
         self.unstable += u64::from(breaths.unstable);
         self.worsened += u64::from(breaths.worsened());
+        self.cut += u64::from(breaths.cut);
     }
 
     fn absorb(&mut self, other: Self) {
         self.stopped += other.stopped;
         self.unstable += other.unstable;
         self.worsened += other.worsened;
+        self.cut += other.cut;
     }
 }
 
