@@ -13,6 +13,8 @@ use score::breathing::STRENGTHS;
 use score::evaluate::{Plan, waveform_name};
 use show::report::{Cell, Table};
 
+/// Number of the breath from rest that is searched for prescriptions: one for which the search ends, even where a lung keeps its gas.
+const PRESCRIBED_BREATH: u32 = 20;
 /// Title of the table.
 const TITLE: &str = "Reference bound: smallest mean absolute error of the true airway pressure found, cmH2O";
 
@@ -31,7 +33,7 @@ The search knows every parameter of the bench, has no sensor noise and may repea
 as it needs. It is a search, not a proof: better commands may exist. Check with --effort 2; where
 this was tried, scores improved by less than 1 %. Scores are those of `trainer evaluate`: errors of
 the true airway pressure. With --breathing, the search knows each effort in advance, as no
-controller can: efforts of 3, 6 and 10 cmH2O. Ctrl-C ends the search and prints the waveforms completed so far.")]
+controller can: efforts of 3, 6 and 10 cmH2O. With --prescriptions, the breath is the 20th from rest. Ctrl-C ends the search and prints the waveforms completed so far.")]
 pub struct Args {
     #[command(flatten)]
     benches: BenchesArgs,
@@ -81,6 +83,7 @@ impl Command for Args {
             effort: self.effort,
             trigger_delay_ms: self.trigger_delay_ms,
             trace: self.trace,
+            breath: self.waveforms.prescriptions.is_some().then_some(PRESCRIBED_BREATH),
         };
         let plan = Plan { period_us: self.period_us, ..Plan::default() };
         let plan = self.waveforms.on(plan, self.seed)?;

@@ -44,7 +44,8 @@ unless the family has its own), or settings that are drawn from --prescriptions,
 both controllers, with the same sensor noise. Drawn pressure limits are close to PIP: an inspiration
 that is ended there counts with its planned rest. The best single PID is that for the prescriptions.
 Breaths 1, 6 and 20 are scored in full. For the subset, the first plants, the plant's own best PID
-and its reference bound are searched as well, which takes several seconds each.
+and its reference bound are searched as well, which takes several seconds each, and minutes where
+drawn inspirations are long; the bound is then that of the same breath from rest.
 
 A plant counts as worsened if a breath is worse than the first by more than 5 % and by more than
 0.3 cmH2O; as unstable if the pressure oscillates on a plateau, from peak to trough, by more than

@@ -47,11 +47,15 @@ pub struct BoundConfig {
     pub trigger_delay_ms: u32,
     /// Keep pressure, target and command of every waveform.
     pub trace: bool,
+    /// Number of the breath from rest, from 1, that is searched, after breaths that follow the target; without it, a breath after
+    /// infinitely many with the same commands. A lung that keeps most of its gas would amplify each change of those many times over.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub breath: Option<u32>,
 }
 
 impl Default for BoundConfig {
     fn default() -> Self {
-        Self { seed: 1, effort: 1, trigger_delay_ms: 30, trace: false }
+        Self { seed: 1, effort: 1, trigger_delay_ms: 30, trace: false, breath: None }
     }
 }
 
@@ -171,6 +175,8 @@ pub fn bounds(
     let found: Vec<Option<WaveformBound>> = jobs
         .par_iter()
         .map(|(bench, number, breath)| {
+            let begun = search.breath.map(|number| search::at_breath(breath, &bench.valve, number));
+            let breath = begun.as_ref().unwrap_or(breath);
             let found = search::search(breath, &bench.valve, search, *number as u64, &task)?;
             Some(waveform(plan, breath, found, search.trace))
         })

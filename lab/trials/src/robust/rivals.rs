@@ -5,7 +5,7 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use super::RobustError;
-use super::plant_run::PlantRun;
+use super::plant_run::{PlantRun, SCORED};
 use plant::bench::family::Family;
 use plant::prescriptions::Prescriptions;
 use progress::Progress;
@@ -87,13 +87,25 @@ pub fn own_pid(run: &PlantRun) -> Result<PidGains, RobustError> {
     Ok(tune_single_pid(plant, &Search::default(), &plan, &Progress::silent())?.pid.gains)
 }
 
-/// The plant's reference bound for its waveform, cmH2O.
+/// The plant's reference bound for each of the scored breaths, cmH2O. For drawn prescriptions, each breath has its own, from rest: a
+/// lung that keeps gas fills from breath to breath.
 ///
 /// # Errors
 /// See [`bounds`].
-pub fn bound(run: &PlantRun) -> Result<f64, RobustError> {
+pub fn bound(run: &PlantRun) -> Result<Vec<f64>, RobustError> {
+    let scored = SCORED.into_iter().filter(|breath| *breath <= run.breaths);
+    if run.goes_on {
+        return scored.map(|breath| bound_of(run, Some(breath))).collect();
+    }
+    let periodic = bound_of(run, None)?;
+    Ok(scored.map(|_| periodic).collect())
+}
+
+/// The bound of the breath with this number from rest; without it, of a breath after many of its kind.
+fn bound_of(run: &PlantRun, breath: Option<u32>) -> Result<f64, RobustError> {
     let plan = Plan { waveforms: vec![run.settings], ..Plan::default() };
     let benches = std::slice::from_ref(&run.bench);
-    let found = bounds(benches, &plan, &BoundConfig::default(), &Progress::silent())?;
+    let search = BoundConfig { breath, ..BoundConfig::default() };
+    let found = bounds(benches, &plan, &search, &Progress::silent())?;
     Ok(found.iter().map(|bound| bound.mean.score).sum())
 }

@@ -61,7 +61,7 @@ fn stopped() -> PlantBreaths {
 
 /// A result with these scores of the last breath.
 fn result(number: u32, controller: f64, family: f64, rivals: Option<(f64, f64)>) -> PlantResult {
-    let rivals = rivals.map(|(own, bound)| Rivals { own: run(own).scored, bound });
+    let rivals = rivals.map(|(own, bound)| Rivals { own: run(own).scored, bound: vec![bound; 2] });
     PlantResult { number, controller: run(controller), family: run(family), rivals }
 }
 
