@@ -115,7 +115,6 @@ fn states(
     settings: &Settings,
     seed: u64,
 ) -> Result<Vec<[f32; INPUTS]>, BenchError> {
-    let pip = settings.pip;
     let period_us = residual.spec().period_us;
     let steps = steps_per_period(period_us)?;
     let breath = Breath::new(settings, period_us)

@@ -67,7 +67,7 @@ impl Comparison {
 #[error("{controller}, {waveform}: {source}")]
 pub struct CompareError {
     controller: &'static str,
-    waveform: String,
+    waveform: Box<str>,
     source: SourceError,
 }
 
@@ -91,7 +91,7 @@ pub fn compare<C>(
         let score = |name, controller| match ground.evaluate(controller, &plan, &task.part()) {
             Ok(evaluation) => Ok(evaluation.mean),
             Err(source) => {
-                let waveform = waveform_title(pip, settings.as_ref());
+                let waveform = waveform_title(pip, settings.as_ref()).into();
                 Err(CompareError { controller: name, waveform, source })
             }
         };
