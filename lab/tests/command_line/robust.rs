@@ -1,6 +1,6 @@
 //! The robustness test at a tiny size.
 
-use super::support::Place;
+use super::support::{Place, text};
 
 #[test]
 fn the_json_has_the_fixed_fields_with_a_value_for_every_scored_breath() {
@@ -75,7 +75,8 @@ fn prescriptions_of_a_bench_are_bounded_one_by_one_and_exclude_pips() {
     assert_eq!(waveforms.len(), 24);
     assert!(waveforms.iter().all(|one| one["score"].as_f64().unwrap() > 0.0 && one["settings"].is_object()));
     for other in ["--pips 15", "--settings peep=8", "--breathing"] {
-        let refused = place.refused(&format!("bound --prescriptions bedside {other}"));
-        assert!(refused.contains("cannot be used with"), "{refused}");
+        let output = place.run(&format!("bound --prescriptions bedside {other}"));
+        assert_eq!(output.status.code(), Some(2), "{other}");
+        assert!(text(&output.stderr).contains("cannot be used with"), "{other}");
     }
 }
