@@ -12,3 +12,4 @@ pub mod preset;
 pub mod settings;
 pub mod shards;
 pub mod source;
+pub mod waveforms;

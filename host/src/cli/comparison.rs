@@ -20,7 +20,7 @@ pub fn table(comparison: &Comparison, beside: &str, title: &str) -> Table {
         ],
     );
     for waveform in &comparison.waveforms {
-        rows(&mut table, &format!("PIP {}", waveform.pip), beside, &waveform.pair);
+        rows(&mut table, &waveform.name(), beside, &waveform.pair);
     }
     rows(&mut table, "mean", beside, &comparison.mean);
     table
@@ -53,7 +53,8 @@ mod tests {
     fn text(pid: f64, learned: Option<f64>) -> String {
         let score = |score| Score { score, rise_ms: 90.0, ..Score::default() };
         let pair = Pair { pid: score(pid), learned: learned.map(score) };
-        table(&Comparison::new(vec![WaveformPair { pip: 15.0, pair }]), "learned", "").to_plain()
+        table(&Comparison::new(vec![WaveformPair { pip: 15.0, settings: None, pair }]), "learned", "")
+            .to_plain()
     }
 
     #[test]

@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use serde::Serialize;
-use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
+use shared::settings::Settings;
 
 use super::breathing::{Summary as BreathingSummary, table as breathing_table};
 use super::comparison::table;
 use crate::args::controller::{Chosen, ControllerArgs};
 use crate::args::gains::{format_gains, gains};
 use crate::args::port::source as device_source;
-use crate::args::settings::SettingsArgs;
 use crate::args::source::SourceArgs;
+use crate::args::waveforms::WaveformsArgs;
 use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use data::provenance::Provenance;
 use plant::bench::BenchConfig;
@@ -73,6 +73,7 @@ Examples:
   trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
   trainer evaluate --controller controller.safetensors --bench R5C50 --breaths-of-learning 20
   trainer evaluate --bench neonate-iso-14 --pips 35 --settings rate=30,inspiratory_time=0.6
+  trainer evaluate --controller controller.safetensors --prescriptions bedside --seed 3
   trainer evaluate --controller weights.bin --against 2.5,25,0.02 --bench iso-05 --seed 7 --json -
 
 The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
@@ -106,18 +107,15 @@ pub struct Args<C: Choice> {
     against: Option<PidGains>,
     #[command(flatten)]
     source: SourceArgs,
-    /// PIPs of the waveforms, cmH2O
-    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
-    pips: Vec<f32>,
+    #[command(flatten)]
+    waveforms: WaveformsArgs,
     /// Scored breaths per waveform and noise sequence
     #[arg(long, value_name = "N", default_value_t = Plan::default().breaths)]
     breaths: usize,
     /// Breaths from rest before the scored ones, in which a controller may learn from breath to breath
     #[arg(long, value_name = "N", default_value_t = Plan::default().warm_up as u32, value_parser = clap::value_parser!(u32).range(..=1_000_000), conflicts_with = "breathing")]
     breaths_of_learning: u32,
-    #[command(flatten)]
-    settings: SettingsArgs,
-    /// Seed of the sensor noise
+    /// Seed of the sensor noise, and of drawn prescriptions
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Score breaths that efforts trigger beside those that the clock starts, on breathing patients of the chosen lungs
@@ -159,6 +157,8 @@ pub struct Summary<A> {
     breaths: usize,
     breaths_of_learning: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
+    prescriptions: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     policy: Option<A>,
     #[serde(flatten)]
     comparison: Comparison,
@@ -184,13 +184,11 @@ impl<C: Choice> Args<C> {
         let chosen = self.choice.chosen(plant)?;
         let plan = Plan {
             period_us: chosen.period_us,
-            pips: self.pips.clone(),
             breaths: self.breaths,
             warm_up: self.breaths_of_learning as usize,
-            settings: self.settings.checked(&self.pips)?,
             ..Plan::evaluation(self.seed)
         };
-        Ok((chosen, plan))
+        Ok((chosen, self.waveforms.on(plan, self.seed)?))
     }
 }
 
@@ -205,6 +203,7 @@ impl Setup {
             (None, None) => "true airway pressure, known only to the bench",
         };
         let takes_turns = args.choice.takes_turns();
+        let goes_on = takes_turns || plan.goes_on;
         let mut bench = None;
         let ground: Box<dyn Ground<AnyLaw>> = match (&args.source.port.port, plant) {
             (Some(address), _) => {
@@ -215,7 +214,7 @@ impl Setup {
             (None, Some(link)) => {
                 let controller = chosen.controller.clone();
                 let source = PlantSource::new(link, controller, chosen.period_us, plan.seeds[0]);
-                Box::new(SourceGround::new(if takes_turns { source.going_on() } else { source }))
+                Box::new(SourceGround::new(if goes_on { source.going_on() } else { source }))
             }
             (None, None) => {
                 let bench = bench.insert(args.source.bench.one()?);
@@ -247,7 +246,7 @@ fn one_after_the_other(
     chosen: &Chosen,
     plan: &Plan,
 ) -> anyhow::Result<Box<dyn Ground<AnyLaw>>> {
-    let settings = plan.pips.first().map_or(plan.settings, |pip| plan.waveform(*pip));
+    let settings = plan.waveforms.first().copied().unwrap_or_default();
     let source =
         BenchSource::new(bench, chosen.controller.clone(), &settings, plan.period_us, plan.seeds[0])?;
     Ok(Box::new(SourceGround::new(source.going_on())))
@@ -314,6 +313,7 @@ impl<C: Choice> Command for Args<C> {
             period_us: setup.plan.period_us,
             breaths: setup.plan.breaths,
             breaths_of_learning: self.breaths_of_learning,
+            prescriptions: self.waveforms.prescriptions.clone(),
             policy,
             comparison,
         }))))
@@ -369,8 +369,8 @@ fn report(args: &Args<impl Choice>, setup: &Setup, comparison: &Comparison) -> a
         blocks: vec![Block::Table(setup.table(comparison, ""))],
     }];
     if let Some(bench) = &setup.bench {
-        for waveform in &comparison.waveforms {
-            sections.push(curves(setup, bench, waveform.pip)?);
+        for (waveform, settings) in comparison.waveforms.iter().zip(&setup.plan.waveforms) {
+            sections.push(curves(setup, bench, &waveform.title(), settings)?);
         }
     }
     Ok(Report {
@@ -389,13 +389,12 @@ fn report(args: &Args<impl Choice>, setup: &Setup, comparison: &Comparison) -> a
 }
 
 /// One breath of a waveform: pressures and valves.
-fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Section> {
-    let Plan { period_us, seeds, warm_up, .. } = &setup.plan;
-    let settings = setup.plan.waveform(pip);
+fn curves(setup: &Setup, bench: &BenchConfig, title: &str, settings: &Settings) -> anyhow::Result<Section> {
+    let Plan { seeds, warm_up, .. } = &setup.plan;
     let run = |law: &AnyLaw| {
-        let source = BenchSource::new(bench, law.clone(), &settings, *period_us, seeds[0])?;
+        let source = setup.plan.source(bench, law.clone(), settings, seeds[0])?;
         let mut source = if setup.takes_turns { source.going_on() } else { source };
-        trace_source_after(*warm_up, &mut source, &settings, 1)
+        trace_source_after(*warm_up, &mut source, settings, 1)
     };
     let mut traces = vec![("PID", run(&setup.pid)?)];
     if let Some((name, law)) = setup.beside() {
@@ -409,7 +408,7 @@ fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Sectio
         valve.push(Series::new(*name, Style::Line, points(trace, &trace.u_in)));
     }
     Ok(Section {
-        heading: format!("PIP {pip} cmH2O"),
+        heading: title.to_owned(),
         text: String::new(),
         blocks: vec![Block::PlotRow(vec![
             Plot::over_time("True airway pressure", "pressure, cmH2O", pressure),

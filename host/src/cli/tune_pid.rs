@@ -19,7 +19,7 @@ use plant::bench::BenchConfig;
 use score::baselines::{
     Best, Candidate, FAULT_SCORE, Grid, LungResult, PidKind, PidSearch, Search, TuneResult, tune_pid,
 };
-use score::evaluate::{Ground, Plan, SourceGround};
+use score::evaluate::{Ground, Plan, SourceGround, at_pips};
 use show::report::{Block, Cell, HeatMap, Report, Section, Table};
 use ventilator::PlantSource;
 
@@ -101,9 +101,8 @@ impl Command for Args {
         let search = search(self);
         let plan = Plan {
             period_us: period_us(self.period_us, plant.as_ref())?,
-            pips: self.pips.clone(),
+            waveforms: at_pips(&self.pips, &self.settings.checked(&self.pips)?),
             breaths: self.breaths,
-            settings: self.settings.checked(&self.pips)?,
             ..Plan::tuning(self.seed)
         };
         if let Some(link) = plant {

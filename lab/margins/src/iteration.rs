@@ -194,7 +194,7 @@ mod tests {
     /// A plant with a pure delay of 30 ms at each operating point, with these gains.
     fn plant(name: &str, gains: &[f64]) -> PlantMargins {
         let point = |gain: &f64| MeasuredPoint {
-            point: OperatingPoint { pip: 20.0, flow_l_s: 0.2 },
+            point: OperatingPoint { pip: 20.0, peep: 5.0, flow_l_s: 0.2 },
             rest_sd_cmh2o: 0.1,
             margins: None,
             doubled: None,

@@ -24,6 +24,7 @@ use serde::{Deserialize, Serialize};
 use shared::breath::{PAPER_PIPS, period_s};
 use shared::control::residual::Residual;
 use shared::control::{ControlLaw, Controller};
+use shared::settings::Settings;
 
 pub use measured_point::MeasuredPoint;
 use operating_point::{HELD_AT_S, OperatingPoint};
@@ -95,6 +96,8 @@ impl Overall {
 /// What is measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Question {
+    /// Settings of the plateaus on each plant, in the plants' order; without them, those of the paper's six waveforms on every plant.
+    pub prescriptions: Option<Vec<Settings>>,
     /// Control period, microseconds.
     pub period_us: u32,
     /// The measurement.
@@ -103,7 +106,7 @@ pub struct Question {
     pub seed: u64,
 }
 
-/// Measures a law on plants, at the operating points of the paper's six waveforms, on all threads; with the residual of a learned
+/// Measures a law on plants, at the operating points of their prescriptions or of the paper's six waveforms, on all threads; with the residual of a learned
 /// controller, the PID underneath it too. Plants that are not done when it is stopped are left out.
 ///
 /// # Errors
@@ -118,15 +121,23 @@ pub fn measure<C: ControlLaw + Sync>(
 where
     C::State: Clone,
 {
-    let task = progress.task(MARGINS, plants.len() * PAPER_PIPS.len());
-    let plants: Result<Vec<_>, BenchError> =
-        plants.par_iter().map(|plant| measure_plant(plant, law, residual, question, &task)).collect();
+    let per_plant = if question.prescriptions.is_some() { 1 } else { PAPER_PIPS.len() };
+    let task = progress.task(MARGINS, plants.len() * per_plant);
+    let on = |(number, plant)| {
+        let points = match &question.prescriptions {
+            Some(prescriptions) => vec![OperatingPoint::new(plant, &prescriptions[number])?],
+            None => OperatingPoint::of_paper(plant)?,
+        };
+        measure_plant(plant, &points, law, residual, question, &task)
+    };
+    let plants: Result<Vec<_>, BenchError> = plants.par_iter().enumerate().map(on).collect();
     Ok(plants?.into_iter().flatten().collect())
 }
 
-/// Measures a law on one plant; none if it was stopped.
+/// Measures a law on one plant at these points; none if it was stopped.
 fn measure_plant<C: ControlLaw + Sync>(
     plant: &BenchConfig,
+    points: &[OperatingPoint],
     law: &C,
     residual: Option<&Residual>,
     question: &Question,
@@ -135,7 +146,6 @@ fn measure_plant<C: ControlLaw + Sync>(
 where
     C::State: Clone,
 {
-    let points = OperatingPoint::of_paper(plant)?;
     let measured: Result<Vec<_>, BenchError> = points
         .par_iter()
         .map(|point| {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, paper_settings};
 use shared::control::Observation;
 use shared::control::pid::{Pid, PidState};
+use shared::settings::Settings;
 
 use super::response::Process;
 use plant::bench::{Bench, BenchConfig, BenchError, steps_per_period};
@@ -42,6 +43,8 @@ impl Process for HeldBench {
 pub struct OperatingPoint {
     /// PIP, cmH2O.
     pub pip: f32,
+    /// PEEP, cmH2O.
+    pub peep: f32,
     /// Flow through the valve, L/s.
     pub flow_l_s: f64,
 }
@@ -52,28 +55,29 @@ impl OperatingPoint {
     /// # Errors
     /// A bench that cannot be built.
     pub fn of_paper(config: &BenchConfig) -> Result<Vec<Self>, BenchError> {
-        PAPER_PIPS.into_iter().map(|pip| Self::new(config, pip)).collect()
+        PAPER_PIPS.into_iter().map(|pip| Self::new(config, &paper_settings(pip))).collect()
     }
 
-    /// The operating point of a waveform of the paper's protocol: its flow is the mean of an inspiration under the default PID.
+    /// The operating point of a prescription, on its plateau: its flow is the mean of an inspiration with a square rise under the
+    /// default PID.
     ///
     /// # Errors
     /// A bench that cannot be built.
-    pub fn new(config: &BenchConfig, pip: f32) -> Result<Self, BenchError> {
-        let settings = paper_settings(pip);
+    pub fn new(config: &BenchConfig, settings: &Settings) -> Result<Self, BenchError> {
+        let Settings { pip, peep, .. } = *settings;
         let pid = Pid::known_good(DEFAULT_PERIOD_US);
-        let (mut bench, mut state) = (Bench::new(config, settings.peep, 0)?, PidState::new());
-        let mut pressure = settings.peep;
+        let (mut bench, mut state) = (Bench::new(config, peep, 0)?, PidState::new());
+        let mut pressure = peep;
         let before_ml = bench.truth().lung_volume_ml;
         let ticks = (f64::from(settings.inspiratory_time) * 1e6 / f64::from(DEFAULT_PERIOD_US)) as u32;
         for tick in 0..ticks {
-            let seen = Observation { pressure, target: pip, pip, peep: settings.peep, tick, rise_ticks: 0 };
+            let seen = Observation { pressure, target: pip, pip, peep, tick, rise_ticks: 0 };
             pressure = bench.step(pid.step(&mut state, &seen, 0.0).command, false);
         }
         let taken_ml = bench.truth().lung_volume_ml - before_ml;
         let mean = 1e-3 * taken_ml / f64::from(settings.inspiratory_time);
         let full = config.valve.max_flow_l_per_s;
-        Ok(Self { pip, flow_l_s: mean.clamp(FLOW_SHARES.0 * full, FLOW_SHARES.1 * full) })
+        Ok(Self { pip, peep, flow_l_s: mean.clamp(FLOW_SHARES.0 * full, FLOW_SHARES.1 * full) })
     }
 
     /// The bench at PEEP, with the flow drawn out of its circuit; `seed` is that of the sensor noise.
@@ -82,15 +86,15 @@ impl OperatingPoint {
     /// A bench that cannot be built, or a control period that it cannot run.
     pub fn bench(&self, config: &BenchConfig, period_us: u32, seed: u64) -> Result<HeldBench, BenchError> {
         let steps = steps_per_period(period_us)?;
-        let mut bench = Bench::new(config, paper_settings(self.pip).peep, seed)?;
+        let mut bench = Bench::new(config, self.peep, seed)?;
         bench.draw(self.flow_l_s);
         Ok(HeldBench { bench, steps })
     }
 
     /// What a law sees at this point.
     pub fn observation(&self) -> Observation {
-        let peep = paper_settings(self.pip).peep;
-        Observation { pressure: peep, target: self.pip, pip: self.pip, peep, tick: 0, rise_ticks: 0 }
+        let Self { pip, peep, .. } = *self;
+        Observation { pressure: peep, target: pip, pip, peep, tick: 0, rise_ticks: 0 }
     }
 }
 
@@ -101,7 +105,9 @@ mod tests {
 
     #[test]
     fn the_flow_is_the_mean_of_an_inspiration_within_the_valves_range() {
-        let flow = |r, c, pip| OperatingPoint::new(&BenchConfig::paper(r, c), pip).unwrap().flow_l_s;
+        let flow = |r, c, pip| {
+            OperatingPoint::new(&BenchConfig::paper(r, c), &paper_settings(pip)).unwrap().flow_l_s
+        };
         // 20 mL/cmH2O x 15 cmH2O in 1 s, of which 92 % enter within 2.5 time constants.
         let mean = flow(20.0, 20.0, 20.0);
         assert!(mean > 0.25 && mean < 0.29, "{mean}");
@@ -112,7 +118,7 @@ mod tests {
 
     #[test]
     fn the_valve_stays_open_at_the_plateau() {
-        let point = OperatingPoint::new(&BenchConfig::default(), 20.0).unwrap();
+        let point = OperatingPoint::new(&BenchConfig::default(), &paper_settings(20.0)).unwrap();
         let mut held = point.bench(&BenchConfig::default(), DEFAULT_PERIOD_US, 1).unwrap();
         let pid = Pid::known_good(DEFAULT_PERIOD_US);
         let (mut state, mut seen) = (PidState::new(), point.observation());
@@ -128,7 +134,7 @@ mod tests {
 
     #[test]
     fn a_control_period_of_several_steps_holds_the_command() {
-        let (plant, point) = (BenchConfig::default(), OperatingPoint { pip: 20.0, flow_l_s: 0.2 });
+        let (plant, point) = (BenchConfig::default(), OperatingPoint { pip: 20.0, peep: 5.0, flow_l_s: 0.2 });
         let mut fine = point.bench(&plant, 1000, 1).unwrap();
         let mut coarse = point.bench(&plant, 3000, 1).unwrap();
         for command in [30.0, 60.0, 10.0] {

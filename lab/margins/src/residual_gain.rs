@@ -20,8 +20,10 @@ use shared::control::network::INPUTS;
 use shared::control::pid::Pid;
 use shared::control::residual::Residual;
 use shared::control::{ControlLaw, Controller, ControllerState, Observation};
+use shared::settings::{LIMIT_MARGIN, Settings};
 
 use super::MeasuredPoint;
+use super::operating_point::OperatingPoint;
 use plant::bench::{Bench, BenchConfig, BenchError, steps_per_period};
 
 /// Breaths whose states are recorded, at each PIP.
@@ -67,9 +69,13 @@ impl ResidualGain {
     ) -> Result<Self, BenchError> {
         let mut found = Self::default();
         for measured in pids {
-            let pip = measured.point.pip;
-            let jacobians: Vec<_> =
-                states(residual, plant, pip, seed)?.iter().map(|state| jacobian(residual, state)).collect();
+            let OperatingPoint { pip, peep, .. } = measured.point;
+            let pressure_limit = Settings::default().pressure_limit.max(pip + LIMIT_MARGIN);
+            let settings = Settings { peep, pressure_limit, ..paper_settings(pip) };
+            let jacobians: Vec<_> = states(residual, plant, &settings, seed)?
+                .iter()
+                .map(|state| jacobian(residual, state))
+                .collect();
             for response in &measured.response {
                 let inputs = Inputs::at(residual, response.hz);
                 let largest = |gain: &dyn Fn(&[f64; FEATURES]) -> Complex64| {
@@ -102,18 +108,17 @@ impl Largest {
     }
 }
 
-/// The network's inputs in breaths of the paper's protocol, on the bench without monitors.
+/// The network's inputs in breaths with these settings, on the bench without monitors.
 fn states(
     residual: &Residual,
     plant: &BenchConfig,
-    pip: f32,
+    settings: &Settings,
     seed: u64,
 ) -> Result<Vec<[f32; INPUTS]>, BenchError> {
-    let settings = paper_settings(pip);
     let period_us = residual.spec().period_us;
     let steps = steps_per_period(period_us)?;
-    let breath = Breath::new(&settings, period_us)
-        .expect("the paper's settings and a built controller's period are valid");
+    let breath = Breath::new(settings, period_us)
+        .expect("the paper's timing, checked pressures and a built controller's period are valid");
     let mut bench = Bench::new(plant, settings.peep, seed)?;
     let (mut pressure, mut command) = (settings.peep, 0.0);
     let mut states = Vec::new();

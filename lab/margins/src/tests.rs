@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use num_complex::Complex64;
 use rayon::ThreadPoolBuilder;
-use shared::breath::DEFAULT_PERIOD_US;
+use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
 use shared::control::Observation;
 use shared::control::features::FeatureSpec;
 use shared::control::network::Network;
@@ -179,12 +179,12 @@ fn a_residual_that_is_a_gain_on_the_error_measures_as_a_larger_proportional_gain
 }
 
 fn question() -> Question {
-    Question { period_us: DEFAULT_PERIOD_US, sweep: Sweep::default(), seed: 1 }
+    Question { prescriptions: None, period_us: DEFAULT_PERIOD_US, sweep: Sweep::default(), seed: 1 }
 }
 
 fn default_lung(pip: f32) -> MeasuredPoint {
     let plant = BenchConfig::default();
-    let point = OperatingPoint::new(&plant, pip).unwrap();
+    let point = OperatingPoint::new(&plant, &paper_settings(pip)).unwrap();
     measure_point(&plant, point, &Controller::Pid(pid(6.0, 290.0, 0.21)), &question()).unwrap()
 }
 
@@ -213,7 +213,7 @@ fn a_delay_as_long_as_the_measured_margin_makes_the_bench_oscillate() {
     let law = Controller::Pid(pid(6.0, 290.0, 0.21));
     let rest_sd = |more_ms: f64| {
         let mut plant = BenchConfig::default();
-        let point = OperatingPoint::new(&plant, 35.0).unwrap();
+        let point = OperatingPoint::new(&plant, &paper_settings(35.0)).unwrap();
         plant.valve.dead_time_ms += more_ms;
         let held = point.bench(&plant, DEFAULT_PERIOD_US, 1).unwrap();
         let control =
@@ -228,7 +228,7 @@ fn a_delay_as_long_as_the_measured_margin_makes_the_bench_oscillate() {
 #[test]
 fn a_loop_that_oscillates_by_itself_has_no_margins() {
     let plant = BenchConfig::default();
-    let point = OperatingPoint::new(&plant, 20.0).unwrap();
+    let point = OperatingPoint::new(&plant, &paper_settings(20.0)).unwrap();
     let question = Question { sweep: Sweep { frequencies: 2, ..Sweep::default() }, ..question() };
     let measured = measure_point(&plant, point, &Controller::Pid(pid(30.0, 300.0, 0.0)), &question).unwrap();
     assert!(measured.rest_sd_cmh2o > OSCILLATES_CMH2O);

@@ -1,6 +1,7 @@
 //! A lung that changes between two breaths: number of breaths until the controller tracks again.
 
 use serde::{Deserialize, Serialize};
+use shared::breath::paper_settings;
 use shared::control::Controller;
 
 use super::study::Study;
@@ -81,7 +82,7 @@ fn changing(resistance_factor: f64, compliance_factor: f64) -> BenchConfig {
 /// Score of each breath, mean over the plan's noise.
 fn scores(study: &Study<'_>, bench: &BenchConfig, controller: &Controller) -> Result<Vec<f64>> {
     let plan = study.plan();
-    let settings = plan.waveform(PIP);
+    let settings = paper_settings(PIP);
     let mut sums = vec![0.0; BREATHS.0 + BREATHS.1];
     for seed in &plan.seeds {
         let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;

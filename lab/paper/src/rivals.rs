@@ -68,7 +68,9 @@ fn place(bench: &BenchConfig) -> String {
 /// The controllers by name.
 fn laws(study: &Study<'_>) -> Result<Vec<(&'static str, AnyLaw)>> {
     let (family, period_us) = (Family::find(FAMILY)?, study.plan().period_us);
-    let pid = AnyLaw::new(study.pid(family_pid(&family, &study.progress).map_err(StudyError::other)?)?);
+    let pid = AnyLaw::new(
+        study.pid(family_pid(&family, &family.listed(), &study.progress).map_err(StudyError::other)?)?,
+    );
     let mut laws = vec![("family's PID", pid)];
     for rival in Rival::ALL {
         let law = rival.law(&rival.tuned(), Machine::of(&family.nominal()), period_us);

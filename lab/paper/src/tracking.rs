@@ -1,6 +1,7 @@
 //! Curves of P-only, I-only, PID and learned controller on one lung (the paper's tracking figure).
 
 use serde::{Deserialize, Serialize};
+use shared::breath::paper_settings;
 use shared::control::Controller;
 
 use super::study::Study;
@@ -35,7 +36,7 @@ pub(super) fn tracking(study: &Study<'_>) -> Result<Tracking> {
             ("learned, all lungs", generalist::controller(study)?),
         ];
         let plan = study.plan();
-        let settings = plan.waveform(PIP);
+        let settings = paper_settings(PIP);
         let curves = |(name, controller): (&str, Controller)| {
             let trace = trace(bench, &controller, &settings, plan.period_us, plan.seeds[0], BREATHS)?;
             Ok((name.to_owned(), trace))

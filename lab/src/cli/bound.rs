@@ -2,16 +2,21 @@
 
 use anyhow::bail;
 use serde::Serialize;
-use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
+use shared::breath::DEFAULT_PERIOD_US;
 
 use host::args::bench::BenchesArgs;
-use host::args::settings::SettingsArgs;
+use host::args::waveforms::WaveformsArgs;
 use host::command::{Command, Context, Makes, Output, OutputArgs};
 use plant::bench::BenchConfig;
-use score::bound::{Bound, BoundConfig, bounds, triggering};
+use score::bound::{Bound, BoundConfig, WaveformBound, bounds, triggering};
 use score::breathing::STRENGTHS;
-use score::evaluate::Plan;
+use score::evaluate::{Plan, waveform_name};
 use show::report::{Cell, Table};
+
+/// Number of the breath from rest that is searched for prescriptions: one for which the search ends, even where a lung keeps its gas.
+const PRESCRIBED_BREATH: u32 = 20;
+/// Title of the table.
+const TITLE: &str = "Reference bound: smallest mean absolute error of the true airway pressure found, cmH2O";
 
 /// Compute a reference bound: the best commands for a known lung
 #[derive(Debug, clap::Args)]
@@ -22,20 +27,18 @@ Examples:
   lab bound --bench paper --json bound.json
   lab bound --bench R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
   lab bound --bench paper --breathing
+  lab bound --bench R20C20 --prescriptions bedside --json bound.json
 
 The search knows every parameter of the bench, has no sensor noise and may repeat a breath as often
 as it needs. It is a search, not a proof: better commands may exist. Check with --effort 2; where
 this was tried, scores improved by less than 1 %. Scores are those of `trainer evaluate`: errors of
 the true airway pressure. With --breathing, the search knows each effort in advance, as no
-controller can: efforts of 3, 6 and 10 cmH2O. Ctrl-C ends the search and prints the waveforms completed so far.")]
+controller can: efforts of 3, 6 and 10 cmH2O. With --prescriptions, the breath is the 20th from rest. Ctrl-C ends the search and prints the waveforms completed so far.")]
 pub struct Args {
     #[command(flatten)]
     benches: BenchesArgs,
-    /// PIPs of the waveforms, cmH2O
-    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
-    pips: Vec<f32>,
     #[command(flatten)]
-    settings: SettingsArgs,
+    waveforms: WaveformsArgs,
     /// Control period in microseconds: the shortest time between two changes of the command
     #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
     period_us: u32,
@@ -43,7 +46,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = BoundConfig::default().effort, value_parser = clap::value_parser!(u32).range(1..=100))]
     effort: u32,
     /// Add triggered breaths: each lung also with efforts that start every breath
-    #[arg(long)]
+    #[arg(long, conflicts_with = "prescriptions")]
     breathing: bool,
     /// Time from the beginning of an effort to the breath that it triggers, ms
     #[arg(long, value_name = "MS", default_value_t = BoundConfig::default().trigger_delay_ms, value_parser = clap::value_parser!(u32).range(..=1000))]
@@ -51,7 +54,7 @@ pub struct Args {
     /// Include pressure, target and command of every waveform in the JSON
     #[arg(long)]
     trace: bool,
-    /// Seed of the search
+    /// Seed of the search, and of drawn prescriptions
     #[arg(long, default_value_t = BoundConfig::default().seed)]
     seed: u64,
     #[command(flatten)]
@@ -80,13 +83,10 @@ impl Command for Args {
             effort: self.effort,
             trigger_delay_ms: self.trigger_delay_ms,
             trace: self.trace,
+            breath: self.waveforms.prescriptions.is_some().then_some(PRESCRIBED_BREATH),
         };
-        let plan = Plan {
-            period_us: self.period_us,
-            pips: self.pips.clone(),
-            settings: self.settings.checked(&self.pips)?,
-            ..Plan::default()
-        };
+        let plan = Plan { period_us: self.period_us, ..Plan::default() };
+        let plan = self.waveforms.on(plan, self.seed)?;
         let mut benches = self.benches.benches()?;
         if self.breathing {
             benches = breathing(&benches, &plan)?;
@@ -95,7 +95,11 @@ impl Command for Args {
         if lungs.iter().all(|lung| lung.waveforms.is_empty()) {
             bail!("stopped before the first waveform was complete");
         }
-        context.table(&table(&self.pips, &lungs));
+        context.table(&if self.waveforms.prescriptions.is_some() {
+            by_prescription(&lungs)
+        } else {
+            by_pip(&plan, &lungs)
+        });
         if context.stopped() {
             context.line("stopped: only the completed waveforms are shown");
         }
@@ -110,19 +114,20 @@ fn breathing(benches: &[BenchConfig], plan: &Plan) -> anyhow::Result<Vec<BenchCo
     for bench in benches {
         all.push(bench.clone());
         for strength in STRENGTHS {
-            all.push(triggering(bench, strength, &plan.settings, plan.period_us)?);
+            all.push(triggering(bench, strength, &plan.waveforms[0], plan.period_us)?);
         }
     }
     Ok(all)
 }
 
-fn table(pips: &[f32], lungs: &[Bound]) -> Table {
-    let title = "Reference bound: smallest mean absolute error of the true airway pressure found, cmH2O";
-    let mut table = Table::new(title, &["lung"]);
-    table.header.extend(pips.iter().map(|pip| format!("PIP {pip}")));
+/// A row for every lung, a column for every PIP.
+fn by_pip(plan: &Plan, lungs: &[Bound]) -> Table {
+    let pips: Vec<f32> = plan.waveforms.iter().map(|waveform| waveform.pip).collect();
+    let mut table = Table::new(TITLE, &["lung"]);
+    table.header.extend(pips.iter().map(|pip| waveform_name(*pip, None)));
     table.header.extend(["mean".to_owned(), "spread of starts".to_owned()]);
     for lung in lungs {
-        table.row(row(pips, lung));
+        table.row(row(&pips, lung));
     }
     table
 }
@@ -139,17 +144,35 @@ fn row(pips: &[f32], lung: &Bound) -> Vec<Cell> {
     cells
 }
 
+/// A row for every lung and prescription: too many for columns.
+fn by_prescription(lungs: &[Bound]) -> Table {
+    let mut table = Table::new(TITLE, &["lung", "waveform", "score", "spread of starts"]);
+    let mut row = |lung: &str, waveform: &str, score: Cell, spread: Cell| {
+        table.row(vec![Cell::text(lung), Cell::text(waveform), score, spread]);
+    };
+    for lung in lungs {
+        for WaveformBound { pip, settings, score, spread, .. } in &lung.waveforms {
+            let name = waveform_name(*pip, settings.as_ref());
+            row(&lung.lung, &name, Cell::number(score.score, 3), Cell::number(*spread, 4));
+        }
+        if lung.complete {
+            row(&lung.lung, "mean", Cell::number(lung.mean.score, 3), Cell::right(""));
+        }
+    }
+    table
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use score::bound::WaveformBound;
-    use score::evaluate::Score;
+    use score::evaluate::{Score, at_pips};
+    use shared::settings::Settings;
 
     fn lung(complete: bool) -> Bound {
         let score = Score { score: 0.75, ..Score::default() };
         Bound {
             lung: "R20C20".into(),
-            waveforms: vec![WaveformBound { pip: 15.0, score, spread: 0.002, trace: None }],
+            waveforms: vec![WaveformBound { pip: 15.0, settings: None, score, spread: 0.002, trace: None }],
             mean: score,
             complete,
         }
@@ -157,9 +180,10 @@ mod tests {
 
     #[test]
     fn a_waveform_that_is_missing_shows_and_leaves_no_mean() {
-        let whole = table(&[15.0], &[lung(true)]).to_plain();
+        let plan = |pips| Plan { waveforms: at_pips(pips, &Settings::default()), ..Plan::default() };
+        let whole = by_pip(&plan(&[15.0]), &[lung(true)]).to_plain();
         assert_eq!(whole.matches("0.750").count(), 2, "{whole}");
-        let part = table(&[15.0, 35.0], &[lung(false)]).to_plain();
+        let part = by_pip(&plan(&[15.0, 35.0]), &[lung(false)]).to_plain();
         assert_eq!((part.matches("0.750").count(), part.matches(" -").count()), (1, 2), "{part}");
     }
 }

@@ -6,17 +6,20 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use serde::Serialize;
 use shared::control::pid::PidGains;
+use shared::settings::Settings;
 
 use crate::args::law::LawArgs;
 use host::args::bench::BenchesArgs;
 use host::args::controller::Chosen;
 use host::command::{Command, Context, Makes, Output, OutputArgs, write};
 use margins::iteration::{Certificate, Certified, LearningFilter, Spread};
+use margins::operating_point::OperatingPoint;
 use margins::response::Sweep;
 use margins::stability::{Margins, RequiredMargins};
 use margins::{MeasuredPoint, Overall, PlantMargins, Question, measure};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
+use plant::prescriptions::{NAMES, Prescriptions};
 use show::report::{Cell, Plot, Series, Style, Table};
 use trials::accuracy::{Declared, Setup, declared};
 
@@ -35,12 +38,14 @@ Examples:
   lab margins --controller out/once/controller.safetensors --bench paper --json margins.json
   lab margins --gains 6,290,0.21 --bench slow.toml --bench fast.toml --plot nyquist.svg
   lab margins --family adult --plants 100 --seed 2 --controller out/once/controller.safetensors
+  lab margins --family adult --plants 100 --prescriptions bedside --controller adult
   lab margins --gains 2.5,60,0.08 --learning 2,50,15 --learning-plot learning.svg
 
-A plateau is held at each of the paper's six PIPs, and a sine is added to the command of the
-inspiratory valve. The ratio of the commands before and after the sine is the loop gain L. From it:
-Ms, the largest abs(1 / (1 + L)); the gain, phase and delay margins; and the disk margin. A robust
-loop keeps Ms at most 2, a gain margin of at least 2 and a delay margin of at least 10 ms.
+A plateau is held at each of the paper's six PIPs, or on each plant at the PEEP and PIP of one of
+the --prescriptions, and a sine is added to the command of the inspiratory valve. The ratio of the
+commands before and after the sine is the loop gain L. From it: Ms, the largest abs(1 / (1 + L));
+the gain, phase and delay margins; and the disk margin. A robust loop keeps Ms at most 2, a gain
+margin of at least 2 and a delay margin of at least 10 ms.
 
 A plateau needs almost no flow, so the valve would be nearly closed and the sine cut. Therefore the
 mean flow of an inspiration is drawn out of the circuit, whatever its pressure. Backlash makes the
@@ -69,6 +74,9 @@ pub struct Args {
     /// Random plants of a family, in place of --bench: adult, neonate, or a TOML file
     #[arg(long, value_name = "NAME|FILE", conflicts_with = "bench")]
     family: Option<String>,
+    /// Prescriptions: paper, its six PIPs on each plant; bedside, or a TOML file, one plateau drawn for each plant
+    #[arg(long, value_name = "NAME|FILE", default_value = NAMES[0])]
+    prescriptions: String,
     /// Number of plants of the family
     #[arg(long, value_name = "N", requires = "family", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     plants: u32,
@@ -100,6 +108,7 @@ pub struct Summary {
     gains: PidGains,
     period_us: u32,
     seed: u64,
+    prescriptions: String,
     sweep: Sweep,
     required: RequiredMargins,
     #[serde(flatten)]
@@ -147,7 +156,8 @@ impl Command for Args {
             );
         }
         let sweep = Sweep::default().with_amplitude(self.amplitude);
-        let question = Question { period_us: chosen.period_us, sweep, seed: self.seed };
+        let prescriptions = prescriptions(self, family.as_ref(), plants.len() as u32)?;
+        let question = Question { prescriptions, period_us: chosen.period_us, sweep, seed: self.seed };
         let (measured, accuracy) = context.progress(|progress| -> anyhow::Result<_> {
             let measured = measure(&plants, &chosen.controller, chosen.residual(), &question, progress)?;
             let setup = Setup { period_us: chosen.period_us, seed: self.seed };
@@ -182,6 +192,18 @@ fn plants(args: &Args, family: Option<&Family>) -> anyhow::Result<Vec<BenchConfi
     }
 }
 
+/// A prescription for each plant; none for the paper's, which are all measured on each.
+fn prescriptions(args: &Args, family: Option<&Family>, plants: u32) -> anyhow::Result<Option<Vec<Settings>>> {
+    if args.prescriptions == NAMES[0] {
+        return Ok(None);
+    }
+    let prescriptions = match family {
+        Some(family) => family.prescriptions(&args.prescriptions)?,
+        None => Prescriptions::find(&args.prescriptions)?,
+    };
+    Ok(Some((0..plants).map(|number| prescriptions.draw(args.seed, number)).collect()))
+}
+
 fn summary(
     args: &Args,
     chosen: &Chosen,
@@ -197,6 +219,7 @@ fn summary(
         gains: chosen.gains(),
         period_us: chosen.period_us,
         seed: args.seed,
+        prescriptions: args.prescriptions.clone(),
         sweep,
         overall: Overall::of(&plants, &required),
         required,
@@ -211,7 +234,8 @@ fn print(args: &Args, summary: &Summary, context: &Context<'_>) {
     let several = summary.plants.len() > 1;
     let title = format!("Margins of {}, sine of {} %", summary.controller, args.amplitude);
     context.table(&if several {
-        by_plant(&title, &summary.plants)
+        let points = if args.prescriptions == NAMES[0] { "worst of six PIPs" } else { "a plateau each" };
+        by_plant(&format!("{title}, {points}"), &summary.plants)
     } else {
         by_pip(&title, &summary.plants[0])
     });
@@ -229,7 +253,9 @@ fn print(args: &Args, summary: &Summary, context: &Context<'_>) {
         ] {
             context.line(&format!(
                 "largest gain of the residual {name}: {:.2} (at {:.1} Hz, PIP {})",
-                largest.value, largest.hz, largest.pip
+                largest.value,
+                largest.hz,
+                tenths(largest.pip)
             ));
         }
     }
@@ -279,13 +305,25 @@ fn margins_row(table: &mut Table, mut row: Vec<Cell>, margins: Option<&Margins>,
     table.row(row);
 }
 
+/// A pressure to a tenth, cmH2O: drawn ones have many decimals.
+fn tenths(pressure: f32) -> f32 {
+    (10.0 * pressure).round() / 10.0
+}
+
+/// PIP of a plateau, and its PEEP unless it is the paper's.
+fn plateau(OperatingPoint { pip, peep, .. }: &OperatingPoint) -> String {
+    let papers = peep.to_bits() == Settings::default().peep.to_bits();
+    let peep = if papers { String::new() } else { format!(", PEEP {}", tenths(*peep)) };
+    format!("{}{peep}", tenths(*pip))
+}
+
 /// The loops of a plant, by PIP. A loop that oscillates by itself has no margins.
 fn by_pip(title: &str, plant: &PlantMargins) -> Table {
     let mut table = margins_table(&format!("{title}, on {}", plant.plant), &["PIP", "flow, L/s"]);
     let mut rows = |name: &str, points: &[MeasuredPoint]| {
         for measured in points {
             let first = vec![
-                Cell::right(format!("{name}{}", measured.point.pip)),
+                Cell::right(format!("{name}{}", plateau(&measured.point))),
                 Cell::number(measured.point.flow_l_s, 2),
             ];
             let doubled = measured.doubled.map(|margins| margins.ms);
@@ -301,7 +339,7 @@ fn by_pip(title: &str, plant: &PlantMargins) -> Table {
 
 /// The worst margins of every plant. A plant with a loop that oscillates by itself has none.
 fn by_plant(title: &str, plants: &[PlantMargins]) -> Table {
-    let mut table = margins_table(&format!("{title}, worst of six PIPs"), &["plant"]);
+    let mut table = margins_table(title, &["plant"]);
     for plant in plants {
         let first = vec![Cell::text(&plant.plant)];
         margins_row(&mut table, first, plant.worst.as_ref(), highest_doubled(&plant.points));
@@ -379,7 +417,7 @@ fn nyquist(plants: &[PlantMargins]) -> Plot {
     ];
     for (plant, measured) in worst_plants(plants) {
         let points = measured.response.iter().map(|at| (at.loop_gain.re, at.loop_gain.im)).collect();
-        series.push(Series::new(format!("{plant}, PIP {}", measured.point.pip), Style::Line, points));
+        series.push(Series::new(format!("{plant}, PIP {}", plateau(&measured.point)), Style::Line, points));
     }
     Plot {
         x_range: Some((-2.5, 1.5)),

@@ -17,8 +17,10 @@ use host::command::{Command, Context, Output, OutputArgs, write};
 use laws::policy::account::Account;
 use laws::policy::in_turns;
 use plant::bench::family::Family;
+use plant::prescriptions::{NAMES, Prescriptions};
+use progress::Progress;
 use show::report::{Cell, Plot, Series, Style, Table};
-use trials::robust::rivals::family_pid;
+use trials::robust::rivals::{family_pid, known_pid};
 use trials::robust::{Question, Robustness, Summary, Tally};
 
 /// Ratios to the family's PID that the figure shows.
@@ -31,15 +33,19 @@ Examples:
   lab robust --plants 1000 --controller out/once/controller.safetensors
   lab robust --plants 100000 --breaths 6 --subset 0 --keep robust.json --json result.json
   lab robust --family my-machines.toml --gains 3,30,0 --save-worst worst
+  lab robust --family neonate --controller neonate --prescriptions bedside --plants 200 --subset 0
   lab robust --plants 20 --subset 0 --policy 'pipe:python3 examples/python/policy.py'
   lab robust --plants 10000000 --subset 0 --shard 3/1000 --out out/robust   # each task, then:
   lab robust --plants 10000000 --subset 0 --merge --out out/robust
 
 A family is a bench description with ranges: each plant draws its valve, circuit, sensor and lung
 from them, by the seed and its number. Every plant gets one of the family's waveforms (the paper's,
-unless the family has its own), from rest, under both controllers, with the same sensor noise.
+unless the family has its own), or settings that are drawn from --prescriptions, from rest, under
+both controllers, with the same sensor noise. Drawn pressure limits are close to PIP: an inspiration
+that is ended there counts with its planned rest. The best single PID is that for the prescriptions.
 Breaths 1, 6 and 20 are scored in full. For the subset, the first plants, the plant's own best PID
-and its reference bound are searched as well, which takes several seconds each.
+and its reference bound are searched as well, which takes several seconds each, and minutes where
+drawn inspirations are long; the bound is then that of the same breath from rest.
 
 A plant counts as worsened if a breath is worse than the first by more than 5 % and by more than
 0.3 cmH2O; as unstable if the pressure oscillates on a plateau, from peak to trough, by more than
@@ -53,6 +59,9 @@ pub struct Args {
     /// Family of plants: adult, neonate, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
     family: String,
+    /// Prescriptions of the plants: paper, the family's own list; bedside, those of its patients; or a TOML file
+    #[arg(long, value_name = "NAME|FILE", default_value = NAMES[0])]
+    prescriptions: String,
     /// Number of plants
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
     plants: u32,
@@ -91,6 +100,8 @@ pub struct Args {
 /// The content of `--json`, and the account of the policy.
 #[derive(Serialize)]
 pub struct Outcome {
+    /// Name of the prescriptions.
+    prescriptions: String,
     #[serde(flatten)]
     summary: Summary,
     #[serde(skip)]
@@ -121,7 +132,9 @@ impl Command for Args {
         let policy = account(&chosen.controller);
         print_account(context, policy.as_ref());
         let Some(test) = test else { return check(policy.as_ref()).map(|()| None) };
-        Ok(Some(Outcome { summary: shown(self, &family, &test, context)?, policy }))
+        let prescriptions = test.question().prescriptions.name.clone();
+        let summary = shown(self, &family, &test, context)?;
+        Ok(Some(Outcome { prescriptions, summary, policy }))
     }
 
     fn conclude(&self, outcome: Outcome, _context: &Context<'_>) -> anyhow::Result<()> {
@@ -161,6 +174,12 @@ fn shown(
     context.table(&table(&summary));
     context.table(&failures(&summary));
     context.table(&worst(&summary));
+    if summary.cut + summary.family_cut > 0 {
+        context.line(&format!(
+            "the pressure limit ended inspirations on {} plants, under the family's PID on {}",
+            summary.cut, summary.family_cut
+        ));
+    }
     if context.stopped() {
         context.line("stopped: the results are those of the plants so far");
     }
@@ -183,7 +202,8 @@ fn test(
     chosen: &Chosen,
     context: &Context<'_>,
 ) -> anyhow::Result<Option<Campaign<Question, Tally>>> {
-    let Some(family_pid) = best_pid(args, family, context)? else {
+    let prescriptions = family.prescriptions(&args.prescriptions)?;
+    let Some(family_pid) = best_pid(args, family, &prescriptions, context)? else {
         bail!("stopped before the family's PID was found; nothing was kept");
     };
     let question = Question {
@@ -192,6 +212,7 @@ fn test(
         controller: chosen.id.clone(),
         family_pid,
         seed: args.seed,
+        prescriptions,
         breaths: args.breaths,
         subset: args.subset,
     };
@@ -208,12 +229,19 @@ fn test(
 }
 
 /// The family's PID; none if its search was stopped. Tasks that share a folder search it once.
-fn best_pid(args: &Args, family: &Family, context: &Context<'_>) -> anyhow::Result<Option<PidGains>> {
-    if family.pid.is_some() {
-        return Ok(family.pid);
+fn best_pid(
+    args: &Args,
+    family: &Family,
+    prescriptions: &Prescriptions,
+    context: &Context<'_>,
+) -> anyhow::Result<Option<PidGains>> {
+    let known = known_pid(family, prescriptions);
+    if known.is_some() {
+        return Ok(known);
     }
-    let question = (&family.name, family.draw(args.seed, 0), &family.pips, &family.settings);
-    Ok(args.shards.once("family-pid", &question, |progress| family_pid(family, progress), context)?)
+    let question = (&family.name, family.draw(args.seed, 0), prescriptions);
+    let search = |progress: &Progress<'_>| family_pid(family, prescriptions, progress);
+    Ok(args.shards.once("family-pid", &question, search, context)?)
 }
 
 /// The scored breaths.

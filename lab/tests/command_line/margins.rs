@@ -52,3 +52,21 @@ fn the_shipped_controller_for_adults_keeps_the_margins_on_lungs_of_medium_and_hi
     let result = Place::new().json(&format!("margins {lungs} --controller adult"));
     assert_eq!(result["share_robust"], 1.0, "{}", result["worst"]);
 }
+
+#[test]
+fn plants_are_measured_at_the_plateau_of_a_prescription_each() {
+    let place = Place::new();
+    let line = "margins --family adult --plants 2 --prescriptions bedside --gains 3,30 --seed 3";
+    let result = place.json(line);
+    assert_eq!(result["prescriptions"], "bedside");
+    let plants = result["plants"].as_array().unwrap();
+    let peeps: Vec<f64> = plants
+        .iter()
+        .map(|plant| {
+            let points = plant["points"].as_array().unwrap();
+            assert_eq!(points.len(), 1);
+            points[0]["peep"].as_f64().unwrap()
+        })
+        .collect();
+    assert!(peeps[0].to_bits() != peeps[1].to_bits(), "{peeps:?}");
+}

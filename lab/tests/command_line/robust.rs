@@ -1,6 +1,6 @@
 //! The robustness test at a tiny size.
 
-use super::support::Place;
+use super::support::{Place, text};
 
 #[test]
 fn the_json_has_the_fixed_fields_with_a_value_for_every_scored_breath() {
@@ -49,4 +49,34 @@ fn twenty_breaths_without_a_subset_leave_out_what_needs_a_search() {
 fn a_family_that_does_not_exist_is_refused() {
     let refusal = Place::new().refused("robust --family aliens");
     assert!(refusal.contains("there is no family aliens"), "{refusal}");
+}
+
+#[test]
+fn plants_get_prescriptions_of_their_own_beside_the_pid_that_is_best_for_them() {
+    let place = Place::new();
+    let line = "robust --prescriptions bedside --plants 4 --breaths 2 --subset 0 --gains 3,60,0.1";
+    let result = place.json(&format!("{line} --keep kept.json"));
+    assert_eq!(result["prescriptions"], "bedside");
+    assert!(result["mean"][0].as_f64().unwrap() > 0.0 && result["cut"].is_number());
+    let other = place.refused("robust --plants 4 --breaths 2 --subset 0 --gains 3,60,0.1 --keep kept.json");
+    assert!(other.contains("kept.json"), "other prescriptions are another question: {other}");
+    let refused = place.refused("robust --plants 1 --prescriptions aliens");
+    assert!(refused.contains("there are no prescriptions aliens"), "{refused}");
+}
+
+#[test]
+fn prescriptions_of_a_bench_are_bounded_one_by_one_and_exclude_pips() {
+    let place = Place::new();
+    let line = "[drawn]\ndriving_pressure = { uniform = [5, 20] }\ninspiratory_time = { uniform = [0.4, 0.45] }\n\
+                [settings]\nfall_time = 0\n";
+    std::fs::write(place.path("short.toml"), line).unwrap();
+    let result = place.json("bound --bench R5C10 --prescriptions short.toml --period-us 20000");
+    let waveforms = result["lungs"][0]["waveforms"].as_array().unwrap();
+    assert_eq!(waveforms.len(), 24);
+    assert!(waveforms.iter().all(|one| one["score"].as_f64().unwrap() > 0.0 && one["settings"].is_object()));
+    for other in ["--pips 15", "--settings peep=8", "--breathing"] {
+        let output = place.run(&format!("bound --prescriptions bedside {other}"));
+        assert_eq!(output.status.code(), Some(2), "{other}");
+        assert!(text(&output.stderr).contains("cannot be used with"), "{other}");
+    }
 }

@@ -337,8 +337,8 @@ mod tests {
     fn a_draw_depends_on_seed_and_number_alone() {
         let bedside = Prescriptions::find("bedside").unwrap();
         assert_eq!(bedside.draw(1, 7), Prescriptions::find("bedside").unwrap().draw(1, 7));
-        assert_ne!(bedside.draw(1, 7).peep, bedside.draw(2, 7).peep);
-        assert_ne!(bedside.draw(1, 7).peep, bedside.draw(1, 8).peep);
+        assert_ne!(bedside.draw(1, 7), bedside.draw(2, 7));
+        assert_ne!(bedside.draw(1, 7), bedside.draw(1, 8));
     }
 
     #[test]

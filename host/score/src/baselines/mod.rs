@@ -338,11 +338,11 @@ fn kept(points: usize) -> usize {
 
 /// The screening's plan: one breath from rest of a few waveforms, under one seed.
 fn screening(plan: &Plan) -> Plan {
-    let last = plan.pips.len().saturating_sub(1);
+    let last = plan.waveforms.len().saturating_sub(1);
     let mut indices: Vec<usize> = (0..SCREENED).map(|n| n * last / (SCREENED - 1)).collect();
     indices.dedup();
     Plan {
-        pips: indices.iter().filter_map(|index| plan.pips.get(*index)).copied().collect(),
+        waveforms: indices.iter().filter_map(|index| plan.waveforms.get(*index)).copied().collect(),
         breaths: 1,
         warm_up: 0,
         seeds: plan.seeds.iter().take(1).copied().collect(),

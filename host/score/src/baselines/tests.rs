@@ -9,7 +9,7 @@ use shared::control::pid::Pid;
 use shared::settings::Settings;
 
 use super::*;
-use crate::evaluate::evaluate;
+use crate::evaluate::{at_pips, evaluate};
 use plant::bench::BenchConfig;
 use progress::Event;
 
@@ -19,7 +19,7 @@ fn lung(resistance: f64, compliance: f64) -> BenchConfig {
 
 /// A plan with one scored breath of two waveforms.
 fn short() -> Plan {
-    Plan { pips: vec![15.0, 30.0], breaths: 1, ..Plan::tuning(0) }
+    Plan { waveforms: at_pips(&[15.0, 30.0], &Settings::default()), breaths: 1, ..Plan::tuning(0) }
 }
 
 /// A grid of 8 x 8 x 2 points, more than pass the screening.
@@ -127,8 +127,7 @@ fn the_number_of_threads_does_not_change_the_result() {
 #[test]
 fn gains_that_lead_to_a_fault_score_worst_and_do_not_end_the_search() {
     let plan = Plan {
-        settings: Settings { pressure_limit: 35.0, ..Settings::default() },
-        pips: vec![30.0],
+        waveforms: at_pips(&[30.0], &Settings { pressure_limit: 35.0, ..Settings::default() }),
         ..short()
     };
     let search = Search {
@@ -192,7 +191,7 @@ fn what_cannot_be_searched_is_refused() {
     let negative = Search { grid: Grid { p: vec![-1.0], i: vec![], d: vec![] }, ..small() };
     let refused = tune_pid(&[lung(20.0, 20.0)], &negative, &short(), &silent);
     assert!(matches!(refused, Err(TuneError::Gain(GainError { name: "p", .. }))));
-    let impossible = Plan { pips: vec![500.0], ..short() };
+    let impossible = Plan { waveforms: at_pips(&[500.0], &Settings::default()), ..short() };
     let refused = tune_pid(&[lung(20.0, 20.0)], &small(), &impossible, &silent);
     assert!(matches!(refused, Err(TuneError::Source(SourceError::Settings(_)))));
 }

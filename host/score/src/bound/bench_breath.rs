@@ -27,6 +27,8 @@ pub(super) struct BenchBreath {
     pub(super) breath: Breath,
     steps_per_tick: u32,
     rest: Bench,
+    /// The bench at the beginning of the inspiration, whatever its commands; none if the breath is one of many with the same commands.
+    begun: Option<Bench>,
     /// Target at every tick of the inspiration, cmH2O.
     pub(super) target: Vec<f64>,
 }
@@ -57,7 +59,7 @@ impl BenchBreath {
             }
         }
         let target = (0..breath.inspiration_ticks()).map(|tick| f64::from(breath.target(tick))).collect();
-        Ok(Self { breath, steps_per_tick, rest, target })
+        Ok(Self { breath, steps_per_tick, rest, begun: None, target })
     }
 
     /// Number of control ticks of the inspiration.
@@ -88,10 +90,26 @@ impl BenchBreath {
     /// The bench at the beginning of an inspiration, after enough breaths with `commands` to make it periodic. Between
     /// inspirations the valves are set as the ventilator sets them.
     pub(super) fn periodic(&self, commands: &[f32]) -> Bench {
+        match &self.begun {
+            Some(begun) => begun.clone(),
+            None => self.after(MOST_BREATHS, |_| commands.to_vec()),
+        }
+    }
+
+    /// The same breath with the bench of the one with this number from rest, from 1. `commands` are those of a breath on a bench at its
+    /// beginning.
+    pub(super) fn at_breath(&self, number: u32, commands: impl Fn(&Bench) -> Vec<f32>) -> Self {
+        let earlier = number.saturating_sub(1) as usize;
+        Self { begun: Some(self.after(earlier, commands)), ..self.clone() }
+    }
+
+    /// The bench after this number of breaths from rest, or fewer if it is periodic by then.
+    fn after(&self, breaths: usize, commands: impl Fn(&Bench) -> Vec<f32>) -> Bench {
         let mut bench = self.rest.clone();
-        for _ in 0..MOST_BREATHS {
+        for _ in 0..breaths {
             let before = bench.truth().alveolar_pressure;
-            self.run_breath(&mut bench, commands);
+            let commands = commands(&bench);
+            self.run_breath(&mut bench, &commands);
             if (bench.truth().alveolar_pressure - before).abs() < PERIODIC_CMH2O {
                 break;
             }

@@ -47,11 +47,15 @@ pub struct BoundConfig {
     pub trigger_delay_ms: u32,
     /// Keep pressure, target and command of every waveform.
     pub trace: bool,
+    /// Number of the breath from rest, from 1, that is searched, after breaths that follow the target; without it, a breath after
+    /// infinitely many with the same commands. A lung that keeps most of its gas would amplify each change of those many times over.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub breath: Option<u32>,
 }
 
 impl Default for BoundConfig {
     fn default() -> Self {
-        Self { seed: 1, effort: 1, trigger_delay_ms: 30, trace: false }
+        Self { seed: 1, effort: 1, trigger_delay_ms: 30, trace: false, breath: None }
     }
 }
 
@@ -73,6 +77,9 @@ pub struct BoundTrace {
 pub struct WaveformBound {
     /// PIP, cmH2O.
     pub pip: f32,
+    /// All settings, if the waveforms differ in more than their PIPs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub settings: Option<Settings>,
     /// Score of the best sequence found.
     #[serde(flatten)]
     pub score: Score,
@@ -141,7 +148,7 @@ pub fn triggering(
     Ok(BenchConfig { name: format!("{}, effort {strength}", bench.name), patient, ..bench.clone() })
 }
 
-/// The best score found on each bench for each waveform of the plan. Only the plan's period, settings and PIPs are
+/// The best score found on each bench for each waveform of the plan. Only the plan's period and waveforms are
 /// used: the search has no noise and repeats one breath. Runs in parallel over benches and waveforms; the result does
 /// not depend on the number of threads.
 ///
@@ -154,34 +161,28 @@ pub fn bounds(
     search: &BoundConfig,
     progress: &Progress<'_>,
 ) -> Result<Vec<Bound>, BoundError> {
-    let mut jobs = Vec::with_capacity(benches.len() * plan.pips.len());
+    let mut jobs = Vec::with_capacity(benches.len() * plan.waveforms.len());
     for bench in benches {
         if !repeats(bench) {
             return Err(BoundError::Patient(bench.name.clone()));
         }
-        for (number, pip) in plan.pips.iter().enumerate() {
-            jobs.push((bench, number, breath(bench, plan, *pip, search)?));
+        for (number, settings) in plan.waveforms.iter().enumerate() {
+            let breath = BenchBreath::new(bench, settings, plan.period_us, search.trigger_delay_ms)?;
+            jobs.push((bench, number, breath));
         }
     }
     let task = progress.task(BOUND, jobs.len() * search::stages(search));
     let found: Vec<Option<WaveformBound>> = jobs
         .par_iter()
         .map(|(bench, number, breath)| {
+            let begun = search.breath.map(|number| search::at_breath(breath, &bench.valve, number));
+            let breath = begun.as_ref().unwrap_or(breath);
             let found = search::search(breath, &bench.valve, search, *number as u64, &task)?;
-            Some(waveform(breath, found, search.trace))
+            Some(waveform(plan, breath, found, search.trace))
         })
         .collect();
-    let per_bench = plan.pips.len().max(1);
+    let per_bench = plan.waveforms.len().max(1);
     Ok(benches.iter().zip(found.chunks(per_bench)).map(|(bench, found)| summarize(bench, found)).collect())
-}
-
-fn breath(
-    bench: &BenchConfig,
-    plan: &Plan,
-    pip: f32,
-    search: &BoundConfig,
-) -> Result<BenchBreath, BoundError> {
-    BenchBreath::new(bench, &plan.waveform(pip), plan.period_us, search.trigger_delay_ms)
 }
 
 /// Whether every breath with the same commands is the same, if it follows the efforts.
@@ -193,18 +194,23 @@ fn repeats(bench: &BenchConfig) -> bool {
     quiet && steady && bench.circuit.leak_changes.is_empty()
 }
 
-fn waveform(breath: &BenchBreath, found: Found, trace: bool) -> WaveformBound {
+fn waveform(plan: &Plan, breath: &BenchBreath, found: Found, trace: bool) -> WaveformBound {
     let pressure = breath.inspire(&breath.periodic(&found.commands), &found.commands);
     let period = f64::from(breath.breath.period_s());
     let commands: Vec<f64> = found.commands.iter().copied().map(f64::from).collect();
-    let score = Score { effort: valve_effort(&commands, period), ..breath.score(&pressure) };
+    let score = Score {
+        effort: valve_effort(breath.breath.settings(), &commands, period),
+        ..breath.score(&pressure)
+    };
     let trace = trace.then(|| BoundTrace {
         time_s: (0..pressure.len()).map(|tick| tick as f64 * period).collect(),
         target: breath.target.clone(),
         pressure,
         u_in: found.commands,
     });
-    WaveformBound { pip: breath.breath.settings().pip, score, spread: found.spread, trace }
+    let waveform = breath.breath.settings();
+    let settings = plan.beside_pip(waveform);
+    WaveformBound { pip: waveform.pip, settings, score, spread: found.spread, trace }
 }
 
 fn summarize(bench: &BenchConfig, found: &[Option<WaveformBound>]) -> Bound {

@@ -14,12 +14,18 @@ use progress::Task;
 
 /// Horizons of the starts, relative to the time that the valve needs to act.
 const HORIZONS: [f64; 3] = [0.8, 1.2, 1.6];
+/// Horizon of the breaths before a breath from rest.
+const EARLIER_HORIZON: f64 = 1.2;
 /// Shortest horizon, for a valve that acts immediately, ms.
 const LEAST_HORIZON_MS: f64 = 5.0;
 /// Block length of the starts, ms.
 const BLOCK_MS: f64 = 5.0;
 /// Spacing of the first nodes, ms; each level halves it where the command bends.
 const SPACING_MS: f64 = 8.0;
+/// Time from which on only every fourth of the first nodes stays, ms: by then, the command of a long inspiration hardly bends, and
+/// the time of a step grows with the third power of the nodes.
+const DENSE_MS: f64 = 1000.0;
+const THINNED: usize = 4;
 /// Levels of refinement of every start, down to 2 ms; the best start gets one more.
 const LEVELS: usize = 3;
 /// Bend of the command above which nodes are added, percent.
@@ -58,6 +64,21 @@ fn steps(config: &BoundConfig) -> usize {
     STEPS * config.effort.max(1) as usize
 }
 
+/// The breath with the bench of the one with this number from rest, after breaths whose commands look ahead.
+pub(super) fn at_breath(breath: &BenchBreath, valve: &ValveConfig, number: u32) -> BenchBreath {
+    let horizon = horizon_ticks(breath, valve, EARLIER_HORIZON);
+    breath.at_breath(number, |bench| look_ahead(breath, bench, ticks(breath, BLOCK_MS), horizon))
+}
+
+/// Horizon of a start, in ticks, for one that is relative to the time that the valve needs to act.
+fn horizon_ticks(breath: &BenchBreath, valve: &ValveConfig, horizon: f64) -> usize {
+    ticks(breath, (horizon * (valve.dead_time_ms + valve.lag_ms)).max(LEAST_HORIZON_MS))
+}
+
+fn ticks(breath: &BenchBreath, ms: f64) -> usize {
+    ((ms / breath.tick_ms()).round() as usize).max(1)
+}
+
 /// Searches the best sequence; `None` if stopped. `number` gives each waveform its own random perturbations.
 pub(super) fn search(
     breath: &BenchBreath,
@@ -66,14 +87,13 @@ pub(super) fn search(
     number: u64,
     task: &Task<'_>,
 ) -> Option<Found> {
-    let ticks = |ms: f64| ((ms / breath.tick_ms()).round() as usize).max(1);
-    let reaction_ms = valve.dead_time_ms + valve.lag_ms;
+    let ticks = |ms: f64| ticks(breath, ms);
     let mut ends = Vec::with_capacity(HORIZONS.len());
     for horizon in HORIZONS {
-        let horizon = ticks((horizon * reaction_ms).max(LEAST_HORIZON_MS));
+        let horizon = horizon_ticks(breath, valve, horizon);
         let start = breath.periodic(&vec![BEFORE_PERCENT; breath.ticks()]);
         let commands = look_ahead(breath, &start, ticks(BLOCK_MS), horizon);
-        let shape = CommandShape::through(&commands, ticks(SPACING_MS));
+        let shape = CommandShape::through(&commands, ticks(SPACING_MS)).thinned(ticks(DENSE_MS), THINNED);
         let mut descent = Descent::new(breath, breath.periodic(&commands), shape);
         for level in 0..LEVELS {
             if level > 0 {

@@ -19,6 +19,18 @@ impl CommandShape {
         Self { nodes, values }
     }
 
+    /// The shape with only every `keep`-th of the nodes after the tick `from`, and the last one.
+    pub(super) fn thinned(&self, from: usize, keep: usize) -> Self {
+        let last = self.nodes.len().saturating_sub(1);
+        let dense = self.nodes.partition_point(|node| *node <= from);
+        let stays = |place: usize| place < dense || place == last || (place + 1 - dense).is_multiple_of(keep);
+        let places: Vec<usize> = (0..=last).filter(|place| stays(*place)).collect();
+        Self {
+            nodes: places.iter().map(|place| self.nodes[*place]).collect(),
+            values: places.iter().map(|place| self.values[*place]).collect(),
+        }
+    }
+
     /// The command of every tick.
     pub(super) fn commands(&self) -> Vec<f32> {
         let mut commands = Vec::with_capacity(self.nodes.last().map_or(0, |last| last + 1));
@@ -116,6 +128,15 @@ mod tests {
                 prop_assert!((one - other).abs() < 1e-3, "{} {}", one, other);
             }
         }
+    }
+
+    #[test]
+    fn nodes_of_a_long_inspiration_are_thinned_and_those_of_a_short_one_stay() {
+        let shape = |ticks: usize| CommandShape::through(&vec![20.0; ticks], 8);
+        assert_eq!(shape(1000).thinned(1000, 4), shape(1000));
+        let thinned = shape(1100).thinned(1000, 4);
+        assert_eq!(thinned.nodes[..126], shape(1100).nodes[..126]);
+        assert_eq!(thinned.nodes[126..], [1032, 1064, 1096, 1099]);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::bench_breath::BenchBreath;
 use super::descent::Descent;
 use super::shape::CommandShape;
 use super::*;
-use crate::evaluate::{evaluate, trace};
+use crate::evaluate::{at_pips, evaluate, trace};
 use plant::bench::{BenchError, LeakChange, SensorConfig, ValveConfig};
 use ventilator::BenchSource;
 
@@ -27,7 +27,13 @@ fn pid(gains: PidGains) -> Controller {
 }
 
 fn plan(pips: &[f32]) -> Plan {
-    Plan { pips: pips.to_vec(), breaths: 1, warm_up: 8, seeds: vec![1], ..Plan::default() }
+    Plan {
+        waveforms: at_pips(pips, &Settings::default()),
+        breaths: 1,
+        warm_up: 8,
+        seeds: vec![1],
+        ..Plan::default()
+    }
 }
 
 fn bound(
@@ -173,6 +179,40 @@ fn efforts_that_drift_against_the_breaths_are_refused() {
     assert!(refused.to_string().contains("effort_rate_per_min to 20,"), "{refused}");
 }
 
+#[test]
+fn no_pid_beats_the_bound_of_the_same_breath_from_rest_under_prescriptions_of_all_kinds() {
+    // A lung that keeps most of its gas, a ramp, a short and a long inspiration, and no PEEP.
+    let base = Settings { peep: 17.0, pip: 39.0, rise_time: 0.1, ..Settings::default() };
+    for (lung, settings) in [
+        ((40.0, 30.0), Settings { rate: 41.0, fall_time: 0.1, expiratory_bias: 13.0, ..base }),
+        (
+            (20.0, 20.0),
+            Settings { peep: 0.0, pip: 15.0, inspiratory_time: 0.4, rise_time: 0.0, rate: 30.0, ..base },
+        ),
+        ((10.0, 20.0), Settings { peep: 5.0, pip: 20.0, inspiratory_time: 1.6, rate: 15.0, ..base }),
+    ] {
+        let bench = quiet(BenchConfig::paper(lung.0, lung.1));
+        for number in [1, 4] {
+            let plan = Plan {
+                waveforms: vec![settings],
+                breaths: 1,
+                warm_up: number as usize - 1,
+                seeds: vec![1],
+                goes_on: true,
+                ..Plan::default()
+            };
+            let search = BoundConfig { breath: Some(number), ..BoundConfig::default() };
+            let bound = bound(&bench, &plan, &search, &Progress::silent()).unwrap().mean.score;
+            let rival = |gains| evaluate(&bench, &pid(gains), &plan).unwrap().mean.score;
+            let best = [GOOD, PidGains { p: 4.5, i: 97.0, d: 0.0 }, PidGains { p: 8.0, i: 260.0, d: 0.18 }]
+                .into_iter()
+                .map(rival)
+                .fold(f64::INFINITY, f64::min);
+            assert!(bound > 0.0 && bound < best, "{lung:?} breath {number}: {bound} {best}");
+        }
+    }
+}
+
 /// This patient breathes slightly faster than the set rate and so triggers every breath but the first two. The bench of the
 /// search is then in the state of the ventilator's.
 #[test]
@@ -212,7 +252,7 @@ fn a_triggered_sequence_is_scored_as_on_the_ventilator() {
 #[test]
 fn no_commands_make_up_for_a_strong_effort_at_a_low_pip() {
     let bench = BenchConfig::paper(20.0, 20.0);
-    let patient = triggering(&bench, 10.0, &plan(&[10.0]).settings, DEFAULT_PERIOD_US).unwrap();
+    let patient = triggering(&bench, 10.0, &paper_settings(10.0), DEFAULT_PERIOD_US).unwrap();
     let of = |bench: &BenchConfig| found(bench, &[10.0], &BoundConfig::default()).mean.score;
     let (passive, triggered) = (of(&bench), of(&patient));
     assert!(triggered > 5.0 * passive, "{passive} {triggered}");

@@ -10,13 +10,14 @@ mod tests;
 
 use rayon::prelude::*;
 use serde::Serialize;
+use shared::breath::Breath;
 use shared::control::ControlLaw;
 use shared::settings::Settings;
 
 use crate::evaluate::{EVALUATE, InspirationRecord, Plan};
 use plant::bench::{BenchConfig, PatientConfig};
 use progress::{Progress, Task};
-use ventilator::{BenchSource, SourceError};
+use ventilator::SourceError;
 
 /// Mean peak of the efforts, cmH2O.
 pub const STRENGTHS: [f64; 3] = [3.0, 6.0, 10.0];
@@ -107,7 +108,7 @@ pub fn breathing<C: ControlLaw + Clone + Sync>(
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Result<BreathingScores, SourceError> {
-    let runs = plan.pips.len() * plan.seeds.len() * (1 + STRENGTHS.len() * RHYTHMS.len());
+    let runs = plan.waveforms.len() * plan.seeds.len() * (1 + STRENGTHS.len() * RHYTHMS.len());
     let task = progress.task(EVALUATE, benches.len() * controllers.len() * runs);
     let mut patients = Vec::new();
     for bench in benches {
@@ -165,20 +166,20 @@ fn waveforms<C: ControlLaw + Clone + Sync>(
     task: &Task<'_>,
 ) -> Result<Vec<Sums>, SourceError> {
     let rhythms = if job.strength > 0.0 { RHYTHMS.as_slice() } else { &RHYTHMS[..1] };
-    let of_pip = |pip: &f32| -> Result<Sums, SourceError> {
+    let of_waveform = |settings: &Settings| -> Result<Sums, SourceError> {
         let mut sums = Sums::default();
         for rhythm in rhythms {
             for seed in &plan.seeds {
                 if task.stopped() {
                     return Err(SourceError::Stopped);
                 }
-                run(job, *rhythm, plan, *pip, *seed, &mut sums)?;
+                run(job, *rhythm, plan, settings, *seed, &mut sums)?;
                 task.advance(1);
             }
         }
         Ok(sums)
     };
-    let outcomes: Vec<_> = plan.pips.par_iter().map(of_pip).collect();
+    let outcomes: Vec<_> = plan.waveforms.par_iter().map(of_waveform).collect();
     outcomes.into_iter().collect()
 }
 
@@ -193,25 +194,25 @@ pub fn patient(strength: f64, (share, duration_s): (f64, f64), settings: &Settin
     }
 }
 
-/// Runs and scores the breaths of one patient at one PIP.
+/// Runs and scores the breaths of one patient with one waveform.
 fn run<C: ControlLaw + Clone>(
     job: &Job<'_, C>,
     rhythm: (f64, f64),
     plan: &Plan,
-    pip: f32,
+    settings: &Settings,
     seed: u64,
     sums: &mut Sums,
 ) -> Result<(), SourceError> {
-    let settings = plan.waveform(pip);
-    let bench = BenchConfig { patient: patient(job.strength, rhythm, &settings), ..job.bench.clone() };
-    let mut source = BenchSource::new(&bench, job.controller.clone(), &settings, plan.period_us, seed)?;
+    let bench = BenchConfig { patient: patient(job.strength, rhythm, settings), ..job.bench.clone() };
+    let mut source = plan.source(&bench, job.controller.clone(), settings, seed)?;
+    let planned = Breath::new(settings, plan.period_us)?;
     for number in 0..plan.warm_up + plan.breaths {
         let sum = &mut sums[usize::from(source.triggered())];
         let mut record = InspirationRecord::default();
-        source.breathe(&settings, &mut |tick| record.add(tick))?;
+        source.breathe(settings, &mut |tick| record.add_planned(tick, &planned))?;
         if number >= plan.warm_up {
             sum.breaths += 1;
-            sum.score += record.score(&settings, plan.period_us).score;
+            sum.score += record.score(settings, plan.period_us).score;
         }
     }
     Ok(())

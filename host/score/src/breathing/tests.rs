@@ -6,7 +6,7 @@ use rayon::ThreadPoolBuilder;
 use shared::control::pid::{Pid, PidGains};
 
 use super::*;
-use crate::evaluate::evaluate;
+use crate::evaluate::{at_pips, evaluate};
 use progress::Event;
 use shared::control::Controller;
 
@@ -16,7 +16,12 @@ fn pid(p: f32, i: f32) -> Controller {
 
 /// Two waveforms under one noise sequence.
 fn small() -> Plan {
-    Plan { pips: vec![15.0, 30.0], breaths: 4, seeds: vec![1], ..Plan::default() }
+    Plan {
+        waveforms: at_pips(&[15.0, 30.0], &Settings::default()),
+        breaths: 4,
+        seeds: vec![1],
+        ..Plan::default()
+    }
 }
 
 fn scored(benches: &[BenchConfig], controllers: &[&Controller]) -> BreathingScores {
@@ -94,7 +99,7 @@ fn a_stopped_evaluation_keeps_the_lungs_that_are_done() {
 
 #[test]
 fn refused_settings_are_an_error() {
-    let plan = Plan { pips: vec![500.0], ..small() };
+    let plan = Plan { waveforms: at_pips(&[500.0], &Settings::default()), ..small() };
     let refused = breathing(&[BenchConfig::default()], &[&pid(3.0, 60.0)], &plan, &Progress::silent());
     assert!(matches!(refused, Err(SourceError::Settings(_))));
 }

@@ -1,9 +1,10 @@
 //! Compares a learned controller with its PID, waveform by waveform, under the same noise.
 
 use serde::Serialize;
+use shared::settings::Settings;
 use thiserror::Error;
 
-use super::{EVALUATE, Ground, Plan, Score};
+use super::{EVALUATE, Ground, Plan, Score, waveform_name, waveform_title};
 use progress::Progress;
 use ventilator::SourceError;
 
@@ -22,9 +23,24 @@ pub struct Pair {
 pub struct WaveformPair {
     /// PIP, cmH2O.
     pub pip: f32,
+    /// All settings, if the waveforms differ in more than their PIPs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub settings: Option<Settings>,
     /// Scores of PID and learned controller.
     #[serde(flatten)]
     pub pair: Pair,
+}
+
+impl WaveformPair {
+    /// Name of the waveform in reports.
+    pub fn name(&self) -> String {
+        waveform_name(self.pip, self.settings.as_ref())
+    }
+
+    /// The name with its unit.
+    pub fn title(&self) -> String {
+        waveform_title(self.pip, self.settings.as_ref())
+    }
 }
 
 /// A comparison over all waveforms.
@@ -48,10 +64,10 @@ impl Comparison {
 
 /// A waveform that could not be run.
 #[derive(Debug, Error)]
-#[error("{controller}, PIP {pip} cmH2O: {source}")]
+#[error("{controller}, {waveform}: {source}")]
 pub struct CompareError {
     controller: &'static str,
-    pip: f32,
+    waveform: Box<str>,
     source: SourceError,
 }
 
@@ -68,21 +84,25 @@ pub fn compare<C>(
     progress: &Progress<'_>,
 ) -> Result<Comparison, CompareError> {
     let controllers = 1 + usize::from(learned.is_some());
-    let task = progress.task(EVALUATE, controllers * plan.pips.len() * plan.seeds.len());
-    let one = |pip: f32| -> Result<Pair, CompareError> {
-        let plan = Plan { pips: vec![pip], ..plan.clone() };
+    let task = progress.task(EVALUATE, controllers * plan.waveforms.len() * plan.seeds.len());
+    let one = |waveform: &Settings| -> Result<WaveformPair, CompareError> {
+        let (pip, settings) = (waveform.pip, plan.beside_pip(waveform));
+        let plan = Plan { waveforms: vec![*waveform], ..plan.clone() };
         let score = |name, controller| match ground.evaluate(controller, &plan, &task.part()) {
             Ok(evaluation) => Ok(evaluation.mean),
-            Err(source) => Err(CompareError { controller: name, pip, source }),
+            Err(source) => {
+                let waveform = waveform_title(pip, settings.as_ref()).into();
+                Err(CompareError { controller: name, waveform, source })
+            }
         };
         let pid = score("PID", pid)?;
         let learned = learned.map(|controller| score("learned controller", controller)).transpose()?;
-        Ok(Pair { pid, learned })
+        Ok(WaveformPair { pip, settings, pair: Pair { pid, learned } })
     };
-    let mut waveforms = Vec::with_capacity(plan.pips.len());
-    for pip in plan.pips.iter().copied() {
-        match one(pip) {
-            Ok(pair) => waveforms.push(WaveformPair { pip, pair }),
+    let mut waveforms = Vec::with_capacity(plan.waveforms.len());
+    for waveform in &plan.waveforms {
+        match one(waveform) {
+            Ok(pair) => waveforms.push(pair),
             Err(CompareError { source: SourceError::Stopped, .. }) => break,
             Err(error) => return Err(error),
         }
@@ -95,6 +115,7 @@ mod tests {
     use super::*;
     use std::sync::atomic::{AtomicBool, Ordering};
 
+    use crate::evaluate::at_pips;
     use plant::bench::BenchConfig;
     use progress::Event;
     use shared::control::Controller;
@@ -104,7 +125,7 @@ mod tests {
     fn comparison(pid: f64, learned: Option<f64>) -> Comparison {
         let score = |score| Score { score, rise_ms: 90.0, ..Score::default() };
         let pair = Pair { pid: score(pid), learned: learned.map(score) };
-        Comparison::new(vec![WaveformPair { pip: 15.0, pair }, WaveformPair { pip: 20.0, pair }])
+        Comparison::new([15.0, 20.0].map(|pip| WaveformPair { pip, settings: None, pair }).to_vec())
     }
 
     #[test]
@@ -124,7 +145,11 @@ mod tests {
 
     #[test]
     fn a_comparison_that_is_stopped_keeps_the_waveforms_that_are_done() {
-        let plan = Plan { pips: vec![15.0, 30.0], breaths: 1, ..Plan::evaluation(0) };
+        let plan = Plan {
+            waveforms: at_pips(&[15.0, 30.0], &Settings::default()),
+            breaths: 1,
+            ..Plan::evaluation(0)
+        };
         let bench = BenchConfig::paper(20.0, 20.0);
         let pid = Controller::Pid(Pid::new(KNOWN_GOOD, plan.period_us).unwrap());
         let whole = compare(&bench, &pid, None, &plan, &Progress::silent()).unwrap();

@@ -6,6 +6,7 @@ use plant::bench::BenchConfig;
 use plant::link::PlantError;
 use progress::Progress;
 use shared::control::{ControlLaw, Controller};
+use shared::settings::Settings;
 use ventilator::law::AnyLaw;
 use ventilator::{Reseed, SourceError};
 
@@ -30,6 +31,26 @@ impl<C: ControlLaw + Clone + Sync> Ground<C> for BenchConfig {
 
     fn evaluate(&self, controller: &C, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
         evaluate_law(self, controller, plan, progress)
+    }
+}
+
+/// A bench with a prescription of its own, which takes the place of the plan's waveforms: so each of many benches has another.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PrescribedBench {
+    /// The bench.
+    pub bench: BenchConfig,
+    /// Settings of its breaths.
+    pub prescription: Settings,
+}
+
+impl<C: ControlLaw + Clone + Sync> Ground<C> for PrescribedBench {
+    fn name(&self) -> String {
+        self.bench.name.clone()
+    }
+
+    fn evaluate(&self, controller: &C, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
+        let plan = Plan { waveforms: vec![self.prescription], ..plan.clone() };
+        evaluate_law(&self.bench, controller, &plan, progress)
     }
 }
 

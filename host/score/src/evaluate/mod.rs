@@ -7,6 +7,7 @@
 mod comparison;
 mod effort;
 mod ground;
+mod plan;
 mod score;
 #[cfg(test)]
 mod tests;
@@ -14,84 +15,32 @@ mod trace;
 
 pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
 pub use effort::ValveEffort;
-pub use ground::{DeviceGround, Ground, SourceGround};
+pub use ground::{DeviceGround, Ground, PrescribedBench, SourceGround};
+pub use plan::{Plan, at_pips, waveform_name, waveform_title};
 pub use score::{InspirationRecord, PLATEAU_S, Score, plateau_tolerance, score_breath, valve_effort};
 pub use trace::{BreathTrace, trace, trace_after, trace_source, trace_source_after};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::breath::{Breath, DEFAULT_PERIOD_US, PAPER_PIPS};
+use shared::breath::Breath;
 use shared::control::{ControlLaw, Controller};
 use shared::settings::Settings;
 
 use plant::bench::BenchConfig;
 use progress::{Progress, Stage, Task};
-use ventilator::seeds;
-use ventilator::{BenchSource, Reseed, SourceError, Tick};
+use ventilator::{Reseed, SourceError, Tick};
 
 /// Scoring controllers: waveforms.
 pub const EVALUATE: Stage = Stage("score waveforms");
-
-/// The breaths of an evaluation.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Plan {
-    /// Control period, microseconds.
-    pub period_us: u32,
-    /// PIP of every waveform, cmH2O.
-    pub pips: Vec<f32>,
-    /// Number of scored breaths of every waveform.
-    pub breaths: usize,
-    /// Number of unscored breaths before them; the first one starts from rest, with the valve closed. A controller that learns from
-    /// breath to breath learns in these.
-    pub warm_up: usize,
-    /// Seeds of the sensor noise; every waveform runs once with each.
-    pub seeds: Vec<u64>,
-    /// All other settings of the breaths; PIP is replaced by each waveform's.
-    pub settings: Settings,
-}
-
-impl Default for Plan {
-    /// The paper's six waveforms at 1 kHz under the evaluation seeds of user seed 0.
-    fn default() -> Self {
-        Self {
-            period_us: DEFAULT_PERIOD_US,
-            pips: PAPER_PIPS.to_vec(),
-            breaths: 4,
-            warm_up: 1,
-            seeds: seeds::evaluation(0),
-            settings: Settings::default(),
-        }
-    }
-}
-
-impl Plan {
-    /// The default plan under the noise reserved for tuning.
-    pub fn tuning(seed: u64) -> Self {
-        Self { seeds: vec![seeds::tuning(seed)], ..Self::default() }
-    }
-
-    /// The default plan under the noise reserved for reported scores.
-    pub fn evaluation(seed: u64) -> Self {
-        Self { seeds: seeds::evaluation(seed), ..Self::default() }
-    }
-
-    /// Settings of the waveform with this PIP, cmH2O.
-    pub fn waveform(&self, pip: f32) -> Settings {
-        Settings { pip, ..self.settings }
-    }
-
-    /// Number of breaths that one evaluation runs.
-    pub fn breaths_run(&self) -> usize {
-        self.pips.len() * self.seeds.len() * (self.warm_up + self.breaths)
-    }
-}
 
 /// Score of one waveform: mean over seeds and breaths.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WaveformScore {
     /// PIP, cmH2O.
     pub pip: f32,
+    /// All settings, if the waveforms differ in more than their PIPs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub settings: Option<Settings>,
     /// Its score; the overshoot is the mean of every breath's maximum.
     #[serde(flatten)]
     pub score: Score,
@@ -130,13 +79,12 @@ pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Evaluated {
-    let jobs: Vec<(f32, u64)> =
-        plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
+    let of_waveform = |settings: Settings| plan.seeds.iter().map(move |seed| (settings, *seed));
+    let jobs: Vec<(Settings, u64)> = plan.waveforms.iter().copied().flat_map(of_waveform).collect();
     let task = progress.task(EVALUATE, jobs.len());
-    let scores = side_by_side(&jobs, &task, |(pip, seed)| {
-        let settings = plan.waveform(*pip);
-        let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
-        run(plan, &breaths(plan, *pip), &mut |breath, sink| source.breathe(breath, sink))
+    let scores = side_by_side(&jobs, &task, |(settings, seed)| {
+        let mut source = plan.source(bench, controller.clone(), settings, *seed)?;
+        run(plan, &breaths(plan, settings), &mut |breath, sink| source.breathe(breath, sink))
     })?;
     Ok(summarize(plan, &scores))
 }
@@ -175,16 +123,16 @@ pub fn evaluate_source<C: Clone>(
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Evaluated {
-    let task = progress.task(EVALUATE, plan.pips.len() * plan.seeds.len());
+    let task = progress.task(EVALUATE, plan.waveforms.len() * plan.seeds.len());
     let mut scores = Vec::new();
-    for pip in &plan.pips {
+    for settings in &plan.waveforms {
         for seed in &plan.seeds {
             if task.stopped() {
                 return Err(SourceError::Stopped);
             }
             source.reseed(*seed);
             source.configure(controller.clone(), None)?;
-            let breaths = breaths(plan, *pip);
+            let breaths = breaths(plan, settings);
             source.upcoming(&breaths)?;
             scores.push(run(plan, &breaths, &mut |breath, sink| source.breath(breath, sink))?);
             task.advance(1);
@@ -197,10 +145,14 @@ pub fn evaluate_source<C: Clone>(
 fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
     let seeds = plan.seeds.len();
     let waveforms: Vec<WaveformScore> = plan
-        .pips
+        .waveforms
         .iter()
         .zip(scores.chunks(seeds.max(1)))
-        .map(|(pip, scores)| WaveformScore { pip: *pip, score: Score::mean(scores) })
+        .map(|(settings, scores)| WaveformScore {
+            pip: settings.pip,
+            settings: plan.beside_pip(settings),
+            score: Score::mean(scores),
+        })
         .collect();
     let of_seed = |index| -> Vec<Score> { scores.iter().skip(index).step_by(seeds).copied().collect() };
     Evaluation {
@@ -211,12 +163,11 @@ fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
 }
 
 /// Settings of all breaths of one waveform.
-fn breaths(plan: &Plan, pip: f32) -> Vec<Settings> {
-    let settings = plan.waveform(pip);
-    let mut breaths = vec![settings; plan.warm_up + plan.breaths];
+fn breaths(plan: &Plan, settings: &Settings) -> Vec<Settings> {
+    let mut breaths = vec![*settings; plan.warm_up + plan.breaths];
     // A controller that learns from breath to breath may forget when the settings change.
     if let Some(last) = breaths.last_mut().filter(|_| plan.warm_up <= 1) {
-        *last = cut_short(&settings);
+        *last = cut_short(settings);
     }
     breaths
 }

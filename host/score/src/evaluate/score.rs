@@ -10,8 +10,10 @@ use ventilator::Tick;
 
 /// Start of the late part of the inspiration, s; by then a good controller has finished the rise.
 const LATE_FROM_S: f64 = 0.15;
-/// Length of the plateau at the end of the inspiration, s.
+/// Length of the plateau at the end of the inspiration, s: what the rise of a short inspiration leaves of it.
 pub const PLATEAU_S: f64 = 0.3;
+/// Time from the end of the target's rise to the earliest start of the plateau, s: before that, the pressure still rises.
+const SETTLING_S: f64 = 0.1;
 /// Distance from PIP that the plateau may have: cmH2O, plus this share of PIP (ISO 80601-2-12, as makers of ventilators declare it).
 const PLATEAU_TOLERANCE: (f64, f64) = (2.0, 0.04);
 
@@ -24,7 +26,7 @@ pub struct Score {
     pub rise_ms: f64,
     /// Highest pressure above PIP, cmH2O, at least 0.
     pub overshoot: f64,
-    /// Mean distance from PIP over the last 0.3 s, cmH2O.
+    /// Mean distance from PIP over the last 0.3 s, cmH2O; over less where the target reaches PIP less than 0.4 s before the end.
     pub plateau_error: f64,
     /// Mean absolute error after the first 150 ms, cmH2O.
     pub late_error: f64,
@@ -100,17 +102,20 @@ impl InspirationRecord {
         let period_s = f64::from(period_s(period_us));
         let [pressure, target, command] = self.curves();
         Score {
-            effort: valve_effort(&command, period_s),
+            effort: valve_effort(breath, &command, period_s),
             cut: f64::from(u8::from(self.cut)),
             ..score_breath(breath, period_s, &pressure, &target)
         }
     }
 
     /// Oscillation of the pressure over the plateau, cmH2O: its range beyond the difference between its ends, so that a pressure
-    /// that is still rising does not count; 0 without samples.
-    pub fn oscillation(&self, period_us: u32) -> f64 {
+    /// that is still rising does not count. The first 150 ms after the rise of the target are left out, because a single overshoot is
+    /// no oscillation; 0 without samples after them.
+    pub fn oscillation(&self, breath: &Settings, period_us: u32) -> f64 {
+        let period_s = f64::from(period_s(period_us));
         let [pressure, ..] = self.curves();
-        let plateau = plateau(&pressure, f64::from(period_s(period_us)));
+        let late = ticks(f64::from(breath.rise_time) + LATE_FROM_S, period_s);
+        let plateau = plateau(breath, pressure.get(late..).unwrap_or_default(), late, period_s);
         let [first, .., last] = plateau else { return 0.0 };
         let highest = plateau.iter().copied().fold(*first, f64::max);
         let lowest = plateau.iter().copied().fold(*first, f64::min);
@@ -124,14 +129,16 @@ pub fn plateau_tolerance(pip: f32) -> f64 {
     absolute + share * f64::from(pip)
 }
 
-/// The samples of the plateau, the last one at least.
-fn plateau(samples: &[f64], period_s: f64) -> &[f64] {
-    &samples[samples.len().saturating_sub(ticks(PLATEAU_S, period_s).max(1))..]
+/// The samples of the plateau, the last one at least, of those from the tick `first` of an inspiration to its end.
+fn plateau<'a>(breath: &Settings, samples: &'a [f64], first: usize, period_s: f64) -> &'a [f64] {
+    let longest = samples.len().saturating_sub(ticks(PLATEAU_S, period_s).max(1));
+    let settled = ticks(f64::from(breath.rise_time) + SETTLING_S, period_s).saturating_sub(first);
+    &samples[longest.max(settled).min(samples.len().saturating_sub(1))..]
 }
 
 /// Valve effort over the plateau of an inspiration with these commands, percent.
-pub fn valve_effort(commands: &[f64], period_s: f64) -> ValveEffort {
-    ValveEffort::of(plateau(commands, period_s), period_s)
+pub fn valve_effort(breath: &Settings, commands: &[f64], period_s: f64) -> ValveEffort {
+    ValveEffort::of(plateau(breath, commands, 0, period_s), period_s)
 }
 
 fn ticks(seconds: f64, period_s: f64) -> usize {
@@ -154,7 +161,7 @@ pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: 
         score: tracking.error,
         rise_ms: tracking.rise_ms,
         overshoot: tracking.overshoot,
-        plateau_error: mean_over_time(plateau(&from_pip, period_s)),
+        plateau_error: mean_over_time(plateau(breath, &from_pip, 0, period_s)),
         late_error: mean_over_time(&errors[late..]),
         effort: ValveEffort::default(),
         cut: 0.0,
@@ -184,6 +191,7 @@ impl Score {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use plant::prescriptions::Prescriptions;
     use proptest::prelude::*;
     use shared::breath::paper_settings;
 
@@ -239,6 +247,48 @@ mod tests {
     }
 
     #[test]
+    fn the_plateau_begins_after_the_rise_of_the_target() {
+        let plateau_error = |inspiratory_time, rise_time, pressure: &dyn Fn(f64) -> f64| {
+            let settings = Settings { inspiratory_time, rise_time, ..paper_settings(25.0) };
+            let samples = (inspiratory_time * 1e3).round() as usize;
+            let pressure: Vec<f64> = (0..samples).map(|n| pressure(n as f64 * 1e-3)).collect();
+            score_breath(&settings, 1e-3, &pressure, &vec![25.0; samples]).plateau_error
+        };
+        let slow = |t: f64| if t < 0.3499 { 5.0 } else { 24.5 };
+        close(plateau_error(0.5, 0.25, &slow), 0.5);
+        // A rise that lasts nearly all of the inspiration leaves its last instant, as does an inspiration without time to settle.
+        close(plateau_error(0.4, 0.4, &|t| 5.0 + 20.0 * t / 0.4), 0.05);
+        close(plateau_error(0.09, 0.0, &|t| if t < 0.0885 { 5.0 } else { 24.0 }), 1.0);
+        close(plateau_error(0.25, 0.0, &|t| if t < 0.0999 { 5.0 } else { 24.0 }), 1.0);
+    }
+
+    /// An inspiration at 1 kHz with this rise and this pressure over time.
+    fn oscillation(inspiratory_time: f32, rise_time: f32, pressure: impl Fn(f64) -> f64) -> f64 {
+        let settings = Settings { inspiratory_time, rise_time, ..paper_settings(25.0) };
+        let ticks = (0..(inspiratory_time * 1e3).round() as u32).map(|tick| RecordedTick {
+            pressure: pressure(f64::from(tick) * 1e-3) as f32,
+            target: 25.0,
+            command: 0.0,
+        });
+        InspirationRecord { ticks: ticks.collect(), cut: false }.oscillation(&settings, 1000)
+    }
+
+    #[test]
+    fn a_rise_and_its_overshoot_are_no_oscillation() {
+        let overshooting = |t: f64| 25.0 - 20.0 * (-t / 0.02).exp() + 10.0 * (t / 0.03) * (-t / 0.03).exp();
+        for (inspiratory_time, rise_time) in [(0.25, 0.0), (0.4, 0.0), (0.4, 0.2), (0.4, 0.4), (3.0, 0.4)] {
+            let ramp = |t: f64| (5.0 + 20.0 * t / f64::from(rise_time).max(1e-3)).min(25.0);
+            let found = oscillation(inspiratory_time, rise_time, ramp);
+            assert!(found < 1e-3, "{inspiratory_time} {rise_time}: {found}");
+            let shaking = |t: f64| ramp(t) + 5.0 * (t * 2.0 * std::f64::consts::PI / 0.03).sin();
+            let found = oscillation(inspiratory_time, rise_time, shaking);
+            let seen = inspiratory_time - rise_time > 0.3;
+            assert!(!seen || (4.0..=10.1).contains(&found), "{inspiratory_time} {rise_time}: {found}");
+        }
+        assert!(oscillation(0.4, 0.0, overshooting) < 1.0);
+    }
+
+    #[test]
     fn overshoot_is_the_highest_peak_above_pip() {
         let peaked = scored(|t| if (0.2..0.21).contains(&t) { 28.5 } else { 25.0 });
         close(peaked.overshoot, 3.5);
@@ -273,6 +323,40 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn any_prescription_is_scored_finitely(
+            seed: u64,
+            number: u32,
+            pressure in prop::collection::vec(-20.0f32..100.0, 1..50),
+        ) {
+            let settings = Prescriptions::find("bedside").unwrap().draw(seed, number);
+            let breath = Breath::new(&settings, 5000).unwrap();
+            let ticks = (0..breath.inspiration_ticks()).map(|tick| RecordedTick {
+                pressure: pressure[tick as usize % pressure.len()],
+                target: breath.target(tick),
+                command: 50.0,
+            });
+            let record = InspirationRecord { ticks: ticks.collect(), cut: false };
+            let Score { score, rise_ms, overshoot, plateau_error, late_error, effort, .. } = record.score(&settings, 5000);
+            let oscillation = record.oscillation(&settings, 5000);
+            for figure in [score, overshoot, plateau_error, late_error, oscillation, effort.total_variation, effort.deviation] {
+                prop_assert!(figure >= 0.0 && figure.is_finite());
+            }
+            prop_assert!(rise_ms <= 5.0 * f64::from(breath.inspiration_ticks()));
+        }
+
+        #[test]
+        fn following_the_target_of_any_prescription_scores_zero(seed: u64, number: u32) {
+            let settings = Prescriptions::find("bedside").unwrap().draw(seed, number);
+            let breath = Breath::new(&settings, 1000).unwrap();
+            let target: Vec<f64> = (0..breath.inspiration_ticks()).map(|tick| breath.target(tick).into()).collect();
+            let found = score_breath(&settings, 1e-3, &target, &target);
+            prop_assert_eq!((found.score, found.late_error, found.overshoot), (0.0, 0.0, 0.0));
+            let last = f64::from(settings.pip) - target.last().unwrap();
+            prop_assert!(found.plateau_error <= last + 1e-9, "{:?} {:?}", settings, found);
+            prop_assert!(found.rise_ms <= 0.8e3 * f64::from(settings.rise_time) + 1.0 || last > 0.0, "{:?} {:?}", settings, found);
+        }
+
         #[test]
         fn every_figure_is_finite_and_not_negative(pressure in prop::collection::vec(-20.0f64..100.0, 0..400)) {
             let target = vec![25.0; pressure.len()];

@@ -1,7 +1,7 @@
 //! Evaluations and traces on virtual benches.
 
 use rayon::ThreadPoolBuilder;
-use shared::breath::{paper_settings, period_s};
+use shared::breath::{DEFAULT_PERIOD_US, paper_settings, period_s};
 use shared::control::pid::{Pid, PidGains};
 
 use super::*;
@@ -16,7 +16,12 @@ fn lung() -> BenchConfig {
 
 /// Two waveforms, two breaths of each, two seeds.
 fn small() -> Plan {
-    Plan { pips: vec![15.0, 30.0], breaths: 2, seeds: vec![1, 2], ..Plan::default() }
+    Plan {
+        waveforms: at_pips(&[15.0, 30.0], &Settings::default()),
+        breaths: 2,
+        seeds: vec![1, 2],
+        ..Plan::default()
+    }
 }
 
 #[test]
@@ -62,8 +67,13 @@ fn a_seeds_score_is_that_of_the_seed_alone() {
 
 #[test]
 fn what_follows_the_last_inspiration_is_cut_without_a_trace() {
-    let plan = Plan { pips: vec![20.0], breaths: 1, seeds: vec![3], ..Plan::default() };
-    let settings = plan.waveform(20.0);
+    let plan = Plan {
+        waveforms: at_pips(&[20.0], &Settings::default()),
+        breaths: 1,
+        seeds: vec![3],
+        ..Plan::default()
+    };
+    let settings = plan.waveforms[0];
     assert!(cut_short(&settings).rate > 59.0, "the last breath is a third as long");
     let whole = trace(&lung(), &pid(1.0, 30.0), &settings, plan.period_us, 3, 1).unwrap();
     let expected = score_breath(&settings, 1e-3, &whole.pressure[..1000], &whole.target[..1000]);
@@ -74,9 +84,14 @@ fn what_follows_the_last_inspiration_is_cut_without_a_trace() {
 
 #[test]
 fn a_score_has_the_valve_effort_of_the_plateau() {
-    let plan = Plan { pips: vec![20.0], breaths: 1, seeds: vec![3], ..Plan::default() };
+    let plan = Plan {
+        waveforms: at_pips(&[20.0], &Settings::default()),
+        breaths: 1,
+        seeds: vec![3],
+        ..Plan::default()
+    };
     let noisy = evaluate(&lung(), &pid(4.0, 30.0), &plan).unwrap().mean.effort;
-    let settings = plan.waveform(20.0);
+    let settings = plan.waveforms[0];
     let curves = trace(&lung(), &pid(4.0, 30.0), &settings, plan.period_us, 3, 1).unwrap();
     let plateau: Vec<f64> = curves.u_in[700..1000].to_vec();
     assert_eq!(noisy, ValveEffort::of(&plateau, f64::from(period_s(plan.period_us))));
@@ -88,19 +103,25 @@ fn a_score_has_the_valve_effort_of_the_plateau() {
 fn breaths_before_the_scored_ones_have_the_same_settings_as_these() {
     let plan = Plan { warm_up: 20, breaths: 2, ..small() };
     assert_eq!(
-        breaths(&plan, 15.0),
-        vec![plan.waveform(15.0); 22],
+        breaths(&plan, &plan.waveforms[0]),
+        vec![plan.waveforms[0]; 22],
         "a change could make a controller forget"
     );
     let plan = Plan { warm_up: 1, ..plan };
-    assert_eq!(breaths(&plan, 15.0)[..2], [plan.waveform(15.0); 2]);
-    assert_eq!(breaths(&plan, 15.0)[2], cut_short(&plan.waveform(15.0)));
+    assert_eq!(breaths(&plan, &plan.waveforms[0])[..2], [plan.waveforms[0]; 2]);
+    assert_eq!(breaths(&plan, &plan.waveforms[0])[2], cut_short(&plan.waveforms[0]));
 }
 
 #[test]
 fn scores_after_some_breaths_are_those_of_a_longer_run_without_its_beginning() {
     let score = |warm_up, breaths| {
-        let plan = Plan { pips: vec![20.0], seeds: vec![3], warm_up, breaths, ..Plan::default() };
+        let plan = Plan {
+            waveforms: at_pips(&[20.0], &Settings::default()),
+            seeds: vec![3],
+            warm_up,
+            breaths,
+            ..Plan::default()
+        };
         evaluate(&lung(), &pid(1.0, 30.0), &plan).unwrap().mean.score
     };
     assert!((score(2, 4) - (3.0 * score(2, 3) + score(5, 1)) / 4.0).abs() < 1e-9);
@@ -119,8 +140,7 @@ fn settings_that_leave_nothing_to_cut_stay_as_they_are() {
 #[test]
 fn a_fault_is_reported_as_such() {
     let plan = Plan {
-        settings: Settings { pressure_limit: 35.0, ..Settings::default() },
-        pips: vec![30.0],
+        waveforms: at_pips(&[30.0], &Settings { pressure_limit: 35.0, ..Settings::default() }),
         ..small()
     };
     // With a slow valve and a stiff lung, the pressure is far above the limit before the valve has closed.
@@ -132,14 +152,16 @@ fn a_fault_is_reported_as_such() {
 
 #[test]
 fn refused_settings_are_an_error() {
-    let plan = Plan { pips: vec![20.0, 500.0], ..small() };
+    let plan = Plan { waveforms: at_pips(&[20.0, 500.0], &Settings::default()), ..small() };
     let refused = evaluate(&lung(), &pid(1.0, 30.0), &plan);
     assert!(matches!(refused, Err(SourceError::Settings(_))));
 }
 
 #[test]
 fn a_plan_without_seeds_or_waveforms_gives_an_empty_evaluation() {
-    for plan in [Plan { seeds: vec![], ..small() }, Plan { pips: vec![], ..small() }] {
+    for plan in
+        [Plan { seeds: vec![], ..small() }, Plan { waveforms: at_pips(&[], &Settings::default()), ..small() }]
+    {
         let evaluation = evaluate(&lung(), &pid(1.0, 30.0), &plan).unwrap();
         assert_eq!(evaluation.mean, Score::default());
     }

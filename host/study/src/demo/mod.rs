@@ -145,7 +145,7 @@ fn compare(
         ("PID", pid(best.pid.gains)?),
         ("learned", Controller::Residual(outcome.learned.controller.clone())),
     ];
-    let task = progress.task(EVALUATE, controllers.len() * plan.pips.len() * plan.seeds.len());
+    let task = progress.task(EVALUATE, controllers.len() * plan.waveforms.len() * plan.seeds.len());
     // In parallel: a board keeps one core busy.
     let contestant = |(name, controller): (&'static str, Controller)| {
         let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &task.part())?;

@@ -1,5 +1,6 @@
 //! Where the demo's breaths run: on the bench in this process, or on the virtual board with that bench as its lung.
 
+use shared::breath::paper_settings;
 use shared::control::Controller;
 use shared::settings::Settings;
 
@@ -73,7 +74,7 @@ impl Venue {
         plan: &Plan,
     ) -> Result<Vec<BreathTrace>, SourceError> {
         let one = |pip: &f32| {
-            let settings = plan.waveform(*pip);
+            let settings = paper_settings(*pip);
             let mut source =
                 self.source(bench, controller.clone(), &settings, plan.period_us, plan.seeds[0])?;
             trace_source(source.as_mut(), &settings, TRACED_BREATHS)

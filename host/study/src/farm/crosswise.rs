@@ -15,7 +15,7 @@ use crate::error::{Result, StudyError};
 use learn::controller::learned::{Learned, Origin};
 use learn::pipeline::commission::CommissionRun;
 use progress::Progress;
-use score::evaluate::{Plan, evaluate_source};
+use score::evaluate::{Plan, at_pips, evaluate_source};
 use ventilator::collect::CollectConfig;
 
 /// Scores of controllers on units.
@@ -177,7 +177,7 @@ impl FarmRun<'_> {
 /// The breaths of an evaluation.
 pub(super) fn plan(run: &CommissionRun, warm_up: usize, breaths: usize) -> Plan {
     let CollectConfig { pips, settings, .. } = &run.collect;
-    Plan { pips: pips.clone(), warm_up, breaths, settings: *settings, ..Plan::evaluation(run.seed) }
+    Plan { waveforms: at_pips(pips, settings), warm_up, breaths, ..Plan::evaluation(run.seed) }
 }
 
 fn learned(name: &str, unit: Option<&UnitName>, learned: &Learned<Residual>) -> Result<Candidate> {

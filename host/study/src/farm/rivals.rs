@@ -11,7 +11,7 @@ use progress::Progress;
 use score::baselines::Grid;
 use score::baselines::{Search, tune_single_pid};
 use score::bound::{BoundConfig, bounds};
-use score::evaluate::Plan;
+use score::evaluate::{Plan, at_pips};
 
 /// The best single PID of a virtual farm, and the bounds of its units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,7 +35,7 @@ impl FarmRun<'_> {
         let Some(benches) = benches else { return Ok(None) };
         let run = &self.config.run;
         let waveforms =
-            Plan { pips: run.collect.pips.clone(), settings: run.collect.settings, ..Plan::tuning(run.seed) };
+            Plan { waveforms: at_pips(&run.collect.pips, &run.collect.settings), ..Plan::tuning(run.seed) };
         let search = Search { grid: Grid::coarse(), refinements: 4, exhaustive: false };
         let rivals = folder.keep("rivals.json", || {
             let pid = tune_single_pid(&benches, &search, &waveforms, &progress.of("best single PID"))?;

@@ -17,7 +17,7 @@ use shared::settings::Settings;
 use super::frame::{FRAME_BYTES, PolicyFrame, PolicyMessage, VERSION};
 use super::link::PolicyError;
 use super::*;
-use score::evaluate::{Evaluation, Plan, evaluate, evaluate_law, evaluate_source};
+use score::evaluate::{Evaluation, Plan, at_pips, evaluate, evaluate_law, evaluate_source};
 use ventilator::BenchSource;
 
 /// Timeout for policies that answer, however busy the machine.
@@ -121,7 +121,7 @@ fn highest(bench: &BenchConfig, law: &PolicyLaw, breaths: usize) -> f32 {
 }
 
 fn plan() -> Plan {
-    Plan { pips: vec![15.0, 30.0], breaths: 2, ..Plan::evaluation(3) }
+    Plan { waveforms: at_pips(&[15.0, 30.0], &Settings::default()), breaths: 2, ..Plan::evaluation(3) }
 }
 
 fn evaluated(law: &PolicyLaw) -> Evaluation {

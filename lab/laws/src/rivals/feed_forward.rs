@@ -237,7 +237,11 @@ mod tests {
 
     fn on_bench<C: ControlLaw + Clone>(law: &C, resistance: f64, compliance: f64) -> PlantBreaths {
         let bench = BenchConfig::paper(resistance, compliance);
-        breaths(&PlantRun { bench, settings: paper_settings(25.0), noise: 1, breaths: 6 }, law).unwrap()
+        breaths(
+            &PlantRun { bench, settings: paper_settings(25.0), noise: 1, breaths: 6, goes_on: false },
+            law,
+        )
+        .unwrap()
     }
 
     #[test]

@@ -399,7 +399,7 @@ mod tests {
     fn on_a_unit_with_a_slow_valve_later_breaths_are_better_than_without() {
         let mut bench = BenchConfig::paper(20.0, 20.0);
         bench.valve.lag_ms = 45.0;
-        let run = PlantRun { bench, settings: paper_settings(25.0), noise: 1, breaths: 12 };
+        let run = PlantRun { bench, settings: paper_settings(25.0), noise: 1, breaths: 12, goes_on: false };
         let last = |scores: Vec<f64>| scores[8..].iter().sum::<f64>();
         let gated = last(breaths(&run, &tuned()).unwrap().every);
         let alone = last(breaths(&run, &Controller::Residual(learned())).unwrap().every);

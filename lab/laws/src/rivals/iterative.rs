@@ -203,6 +203,7 @@ mod tests {
             settings: paper_settings(25.0),
             noise: 1,
             breaths: 30,
+            goes_on: false,
         };
         let scores = breaths(&run, &law([2.5, 60.0, 0.08, 1.0, 50.0, 15.0])).unwrap().every;
         assert!(scores[29] < 0.8 * scores[0], "{scores:?}");

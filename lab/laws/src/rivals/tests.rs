@@ -26,7 +26,13 @@ fn pid() -> Controller {
 }
 
 fn run() -> PlantRun {
-    PlantRun { bench: BenchConfig::paper(20.0, 20.0), settings: paper_settings(20.0), noise: 1, breaths: 3 }
+    PlantRun {
+        bench: BenchConfig::paper(20.0, 20.0),
+        settings: paper_settings(20.0),
+        noise: 1,
+        breaths: 3,
+        goes_on: false,
+    }
 }
 
 #[test]

@@ -60,7 +60,8 @@ pub struct TuningPlan {
 impl TuningPlan {
     /// Plants of a family, whose waveforms take turns.
     pub fn of_family(family: &Family, rival: Rival) -> Self {
-        let run = |number| PlantRun::new(family, TUNING_SEED, number, rival.breaths_tuned());
+        let listed = family.listed();
+        let run = |number| PlantRun::new(family, &listed, TUNING_SEED, number, rival.breaths_tuned());
         Self { runs: (0..PLANTS).map(run).collect(), machine: Machine::of(&family.nominal()) }
     }
 
@@ -79,6 +80,7 @@ impl TuningPlan {
             settings: shared::breath::paper_settings(pip),
             noise: seeds::plant(TUNING_SEED, number as u64),
             breaths: rival.breaths_tuned(),
+            goes_on: false,
         };
         let mut machine = Machine::of(first);
         machine.usual = Machine::of(&BenchConfig::default()).usual;

@@ -75,11 +75,18 @@ mod tests {
     use crate::rl::ventilation::TaskConfig;
     use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::SeedableRng;
+    use score::evaluate::at_pips;
     use shared::control::features::FEATURES;
+    use shared::settings::Settings;
     use ventilator::SourceError;
 
     fn plan() -> Plan {
-        Plan { pips: vec![15.0, 35.0], breaths: 2, seeds: vec![4, 5], ..Plan::default() }
+        Plan {
+            waveforms: at_pips(&[15.0, 35.0], &Settings::default()),
+            breaths: 2,
+            seeds: vec![4, 5],
+            ..Plan::default()
+        }
     }
 
     /// A policy that always chooses the same level of 21.

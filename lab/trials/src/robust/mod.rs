@@ -1,6 +1,6 @@
 //! Robustness: a controller on many random plants of a family, beside the best single PID of that family.
 //!
-//! Every plant gets one of the family's waveforms and a few breaths from rest, once under each controller, with the same sensor noise
+//! Every plant gets a waveform of its own, listed or drawn, and a few breaths from rest, once under each controller, with the same sensor noise
 //! ([`plant_run`]). For the first plants, a subset, the plant's own best PID and its reference bound are searched as well
 //! ([`rivals`]). Only sums and histograms are kept ([`Tally`]), so memory does not grow with the number of plants; their order does not
 //! matter, so a test can be divided as any [`campaign`] can. [`Summary`] reads means, shares and quantiles from them.
@@ -25,6 +25,7 @@ use thiserror::Error;
 use campaign::{Work, WorkspaceError};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
+use plant::prescriptions::Prescriptions;
 use plant_run::{PlantRun, SCORED, breaths};
 use progress::{Stage, Task};
 use score::baselines::TuneError;
@@ -69,10 +70,13 @@ pub struct Question {
     pub first_plant: BenchConfig,
     /// Identifies the controller with everything that changes its results, such as the id of its weights or the gains of its PID.
     pub controller: String,
-    /// Gains of the best single PID of the family.
+    /// Gains of the best single PID of the family with these waveforms.
     pub family_pid: PidGains,
     /// Seed of the plants and of the noise.
     pub seed: u64,
+    /// The waveforms of the plants.
+    #[serde(default)]
+    pub prescriptions: Prescriptions,
     /// Breaths on each plant.
     pub breaths: u32,
     /// Number of the first plants whose own best PID and bound are searched.
@@ -114,7 +118,8 @@ impl<C: ControlLaw + Clone + Sync> Work for Robustness<'_, C> {
     /// Runs a plant under both controllers, and searches its rivals if it is one of the subset.
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<PlantResult>, RobustError> {
         let (question, number) = (&self.question, number as u32);
-        let run = PlantRun::new(self.family, question.seed, number, question.breaths);
+        let run =
+            PlantRun::new(self.family, &question.prescriptions, question.seed, number, question.breaths);
         let family_pid = rivals::pid(question.family_pid)?;
         let rivals = if number < question.subset {
             let gains = rivals::own_pid(&run)?;

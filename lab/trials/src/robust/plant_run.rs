@@ -1,12 +1,13 @@
 //! One plant of a family: its waveform and noise, and the breaths of a controller on it.
 
 use serde::{Deserialize, Serialize};
-use shared::breath::DEFAULT_PERIOD_US;
+use shared::breath::{Breath, DEFAULT_PERIOD_US};
 use shared::control::ControlLaw;
 use shared::settings::Settings;
 
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
+use plant::prescriptions::Prescriptions;
 use score::evaluate::{InspirationRecord, Score, ValveEffort, plateau_tolerance};
 use ventilator::{BenchSource, SourceError, seeds};
 
@@ -21,22 +22,25 @@ const WORSE_CMH2O: f64 = 0.3;
 pub struct PlantRun {
     /// The plant.
     pub bench: BenchConfig,
-    /// Settings of its waveform.
+    /// Settings of its waveform: its prescription.
     pub settings: Settings,
     /// Seed of the sensor noise, the same for every controller.
     pub noise: u64,
     /// Number of breaths.
     pub breaths: u32,
+    /// Go on after the pressure limit has ended an inspiration: a drawn limit is so close to PIP that an overshoot reaches it.
+    pub goes_on: bool,
 }
 
 impl PlantRun {
-    /// The plant with this number. The family's waveforms take turns.
-    pub fn new(family: &Family, seed: u64, number: u32, breaths: u32) -> Self {
+    /// The plant with this number. Listed waveforms take turns, drawn ones are drawn for each plant.
+    pub fn new(family: &Family, prescriptions: &Prescriptions, seed: u64, number: u32, breaths: u32) -> Self {
         Self {
             bench: family.draw(seed, number),
-            settings: family.waveform(number),
+            settings: prescriptions.draw(seed, number),
             noise: seeds::plant(seed, u64::from(number)),
             breaths,
+            goes_on: !prescriptions.are_listed(),
         }
     }
 }
@@ -61,6 +65,8 @@ pub struct PlantBreaths {
     pub scored: Vec<BreathScore>,
     /// Whether the pressure oscillated on the plateau of a breath by more than the plateau may be off.
     pub unstable: bool,
+    /// Whether the pressure limit ended an inspiration.
+    pub cut: bool,
 }
 
 impl PlantBreaths {
@@ -77,18 +83,22 @@ impl PlantBreaths {
 /// # Errors
 /// A bench or settings that are refused.
 pub fn breaths<C: ControlLaw + Clone>(run: &PlantRun, controller: &C) -> Result<PlantBreaths, SourceError> {
-    let PlantRun { bench, settings, noise, breaths } = run;
-    let mut source = BenchSource::new(bench, controller.clone(), settings, DEFAULT_PERIOD_US, *noise)?;
+    let PlantRun { bench, settings, noise, breaths, goes_on } = run;
+    let source = BenchSource::new(bench, controller.clone(), settings, DEFAULT_PERIOD_US, *noise)?;
+    let mut source = if *goes_on { source.going_on() } else { source };
+    let planned = Breath::new(settings, DEFAULT_PERIOD_US).map_err(SourceError::from)?;
     let mut found = PlantBreaths::default();
     for number in 1..=*breaths {
         let mut record = InspirationRecord::default();
-        match source.breathe(settings, &mut |tick| record.add(tick)) {
+        match source.breathe(settings, &mut |tick| record.add_planned(tick, &planned)) {
             Err(SourceError::Fault { .. }) => break,
             outcome => outcome?,
         }
         let score = record.score(settings, DEFAULT_PERIOD_US);
         found.every.push(score.score);
-        found.unstable |= record.oscillation(DEFAULT_PERIOD_US) > 2.0 * plateau_tolerance(settings.pip);
+        found.cut |= score.cut > 0.0;
+        found.unstable |=
+            record.oscillation(settings, DEFAULT_PERIOD_US) > 2.0 * plateau_tolerance(settings.pip);
         if SCORED.contains(&number) {
             let Score { score, overshoot, effort, .. } = score;
             found.scored.push(BreathScore { score, overshoot, effort });

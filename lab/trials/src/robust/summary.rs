@@ -61,6 +61,10 @@ pub struct Summary {
     pub stopped: u64,
     /// The same under the family's best single PID.
     pub family_stopped: u64,
+    /// Plants on which the pressure limit ended an inspiration, after which the ventilation went on: with drawn limits only.
+    pub cut: u64,
+    /// The same under the family's best single PID.
+    pub family_cut: u64,
     /// Mean score of every breath, cmH2O.
     pub mean_by_breath: Vec<f64>,
     /// Mean score of every breath under the family's best single PID, cmH2O.
@@ -110,6 +114,8 @@ impl Summary {
             family_unstable: family.unstable,
             stopped: controller.stopped,
             family_stopped: family.stopped,
+            cut: controller.cut,
+            family_cut: family.cut,
             mean_by_breath: by_breath(|sum| sum.controller),
             family_pid_by_breath: by_breath(|sum| sum.family),
             worst: worst.clone(),

@@ -15,8 +15,8 @@ const WORST: usize = 10;
 pub struct Rivals {
     /// Scored breaths of the plant's own best PID.
     pub own: Vec<BreathScore>,
-    /// Reference bound, cmH2O.
-    pub bound: f64,
+    /// Reference bounds of the scored breaths, cmH2O.
+    pub bound: Vec<f64>,
 }
 
 /// Result of a plant. A list that is too short belongs to a run that ended in the safe state.
@@ -120,15 +120,15 @@ impl BreathTally {
             self.ratios.add(breath.score / family.score);
         }
         if let Some(rivals) = &result.rivals {
-            let own = rivals.own.get(place);
+            let (own, bound) = (rivals.own.get(place), rivals.bound[place]);
             self.own_not_worse += u64::from(not_worse(own));
             if let Some(own) = own {
                 self.own_ratios.add(breath.score / own.score);
                 self.bounded += 1;
-                self.bound_ratio.add(breath.score / rivals.bound);
+                self.bound_ratio.add(breath.score / bound);
                 self.bounded_score.add(breath.score);
                 self.own.add(own.score);
-                self.bound.add(rivals.bound);
+                self.bound.add(bound);
             }
         }
     }
@@ -164,6 +164,9 @@ pub struct Failures {
     pub unstable: u64,
     /// Plants on which a breath was worse than the first.
     pub worsened: u64,
+    /// Plants on which the pressure limit ended an inspiration, after which the ventilation went on.
+    #[serde(default)]
+    pub cut: u64,
 }
 
 impl Failures {
@@ -171,12 +174,14 @@ impl Failures {
         self.stopped += u64::from(breaths.every.len() < wanted);
         self.unstable += u64::from(breaths.unstable);
         self.worsened += u64::from(breaths.worsened());
+        self.cut += u64::from(breaths.cut);
     }
 
     fn absorb(&mut self, other: Self) {
         self.stopped += other.stopped;
         self.unstable += other.unstable;
         self.worsened += other.worsened;
+        self.cut += other.cut;
     }
 }
 

@@ -20,6 +20,7 @@ fn question(breaths: u32, subset: u32) -> Question {
         controller: "PID".to_owned(),
         family_pid: KNOWN_GOOD,
         seed: 1,
+        prescriptions: Prescriptions::default(),
         breaths,
         subset,
     }
@@ -50,17 +51,17 @@ fn breath(score: f64) -> BreathScore {
 fn run(last: f64) -> PlantBreaths {
     let mut every = vec![1.0; 6];
     every[5] = last;
-    PlantBreaths { every, scored: vec![breath(1.0), breath(last)], unstable: false }
+    PlantBreaths { every, scored: vec![breath(1.0), breath(last)], unstable: false, cut: false }
 }
 
 /// A run that ended in the safe state before its second breath.
 fn stopped() -> PlantBreaths {
-    PlantBreaths { every: vec![1.0], scored: vec![breath(1.0)], unstable: false }
+    PlantBreaths { every: vec![1.0], scored: vec![breath(1.0)], unstable: false, cut: false }
 }
 
 /// A result with these scores of the last breath.
 fn result(number: u32, controller: f64, family: f64, rivals: Option<(f64, f64)>) -> PlantResult {
-    let rivals = rivals.map(|(own, bound)| Rivals { own: run(own).scored, bound });
+    let rivals = rivals.map(|(own, bound)| Rivals { own: run(own).scored, bound: vec![bound; 2] });
     PlantResult { number, controller: run(controller), family: run(family), rivals }
 }
 
@@ -154,7 +155,7 @@ fn a_later_breath_may_be_worse_by_the_larger_of_a_share_and_a_pressure() {
 #[test]
 fn a_loop_that_rings_is_unstable_and_a_lung_that_still_fills_is_not() {
     let unstable = |bench: BenchConfig, gains| {
-        let run = PlantRun { bench, ..PlantRun::new(&family(), 1, 3, 2) };
+        let run = PlantRun { bench, ..PlantRun::new(&family(), &Prescriptions::default(), 1, 3, 2) };
         breaths(&run, &rivals::pid(gains).unwrap()).unwrap().unstable
     };
     let mut slow = BenchConfig::paper(5.0, 100.0);
@@ -193,15 +194,56 @@ fn the_plants_own_pid_beats_that_of_others_and_no_pid_beats_the_bound() {
     let found = Summary::of(&tested(&question(6, 2), None, 2));
     assert_eq!(found.subset, 2);
     assert!(found.bound_ratio.iter().all(|ratio| ratio.is_some_and(|ratio| ratio > 1.0)), "{found:?}");
-    let run = PlantRun::new(&family(), 1, 0, 6);
+    let run = PlantRun::new(&family(), &Prescriptions::default(), 1, 0, 6);
     let last = |gains| breaths(&run, &rivals::pid(gains).unwrap()).unwrap().scored[1].score;
     assert!(last(rivals::own_pid(&run).unwrap()) <= last(SOUND));
 }
 
 #[test]
 fn plants_take_turns_at_the_papers_waveforms_and_have_noise_of_their_own() {
-    let runs: Vec<_> = (0..7).map(|number| PlantRun::new(&family(), 1, number, 1)).collect();
+    let runs: Vec<_> =
+        (0..7).map(|number| PlantRun::new(&family(), &Prescriptions::default(), 1, number, 1)).collect();
     let pips: Vec<_> = runs.iter().map(|run| run.settings.pip).collect();
     assert_eq!(pips, [10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 10.0]);
     assert_ne!(runs[0].noise, runs[6].noise);
+}
+
+fn bedside() -> Prescriptions {
+    family().bedside
+}
+
+#[test]
+fn plants_have_prescriptions_of_their_own_and_go_on_at_the_pressure_limit() {
+    let (family, bedside) = (family(), bedside());
+    let run = |number| PlantRun::new(&family, &bedside, 1, number, 2);
+    assert_eq!(run(3).settings, bedside.draw(1, 3));
+    assert_eq!(run(3).bench, family.draw(1, 3));
+    let wild = rivals::pid(PidGains { p: 80.0, i: 5000.0, d: 0.0 }).unwrap();
+    let found: Vec<_> = (0..20).map(|number| breaths(&run(number), &wild).unwrap()).collect();
+    let cut = found.iter().find(|found| found.cut).expect("an inspiration that the limit ended");
+    assert_eq!((cut.every.len(), cut.scored.len()), (2, 1), "the ventilation goes on");
+    let calm = rivals::pid(PidGains::default()).unwrap();
+    assert!((0..20).all(|number| !breaths(&run(number), &calm).unwrap().cut));
+}
+
+#[test]
+fn drawn_prescriptions_are_scored_finitely_and_are_another_question() {
+    let drawn = Question { prescriptions: bedside(), ..question(2, 0) };
+    let found = Summary::of(&tested(&drawn, None, 60));
+    assert_eq!(found.plants, 60);
+    let figures = [found.mean[0], found.family_pid[0], found.overshoot_p99[0], found.mean_by_breath[1]];
+    assert!(figures.iter().all(|figure| figure.is_finite() && *figure > 0.0), "{figures:?}");
+    assert_ne!(drawn, question(2, 0));
+    let text = serde_json::to_string(&drawn).unwrap();
+    assert_eq!(serde_json::from_str::<Question>(&text).unwrap(), drawn);
+}
+
+#[test]
+fn each_distribution_has_a_best_pid_of_its_own() {
+    let family = family();
+    assert_eq!(rivals::known_pid(&family, &family.listed()), family.pid);
+    assert_eq!(rivals::known_pid(&family, &family.bedside), family.bedside_pid);
+    assert!(family.pid.is_some() && family.bedside_pid.is_some() && family.pid != family.bedside_pid);
+    let other = Prescriptions { square_share: 0.9, ..bedside() };
+    assert_eq!(rivals::known_pid(&family, &other), None);
 }

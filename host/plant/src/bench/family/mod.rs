@@ -22,6 +22,7 @@
 //!
 //! `bench = "neonate"`, or the name of another lung, gives the values that the file leaves out; without it they are the defaults.
 //! `[pid]` and `[soft_pid]` are gains `p`, `i` and `d`: of the best single PID of the family, and of one that is stable on every plant.
+//! `[bedside_pid]` are those of the best single PID under the prescriptions of the bedside.
 //!
 //! `pips` and `[settings]` are the waveforms on which the family's plants are judged; without them they are the paper's. A table
 //! `[bedside]` describes what is set for the family's patients ([`Prescriptions`]).
@@ -37,7 +38,7 @@ use shared::settings::{Settings, SettingsError};
 use toml::{Table, Value};
 
 use super::{BenchConfig, BenchError};
-use crate::prescriptions::{Prescriptions, PrescriptionsError};
+use crate::prescriptions::{NAMES, Prescriptions, PrescriptionsError};
 use crate::range::{self, Range};
 
 /// The shipped families, by name.
@@ -102,6 +103,8 @@ pub struct Family {
     pub pid: Option<PidGains>,
     /// A PID that is stable on every plant of the family, if known: the one under a residual for the family.
     pub soft_pid: Option<PidGains>,
+    /// Best single PID of the family under the prescriptions of its bedside, if known.
+    pub bedside_pid: Option<PidGains>,
     /// PIPs of the waveforms, cmH2O.
     pub pips: Vec<f32>,
     /// All other settings of the waveforms.
@@ -146,6 +149,7 @@ impl Family {
         let Some(Value::Table(varies)) = table.remove("family") else { return Err(FamilyError::Empty) };
         let pid = table.remove("pid").map(Value::try_into).transpose()?;
         let soft_pid = table.remove("soft_pid").map(Value::try_into).transpose()?;
+        let bedside_pid = table.remove("bedside_pid").map(Value::try_into).transpose()?;
         let pips = table.remove("pips").map(Value::try_into).transpose()?;
         let settings = table.remove("settings").map(Value::try_into).transpose()?.unwrap_or_default();
         let bedside = match table.remove("bedside") {
@@ -160,7 +164,8 @@ impl Family {
             return Err(FamilyError::Empty);
         }
         let pips = pips.unwrap_or_else(|| PAPER_PIPS.to_vec());
-        let family = Self { name: fixed.name, pid, soft_pid, pips, settings, bedside, bench, ranges };
+        let family =
+            Self { name: fixed.name, pid, soft_pid, bedside_pid, pips, settings, bedside, bench, ranges };
         family.check()?;
         Ok(family)
     }
@@ -197,10 +202,15 @@ impl Family {
     /// See [`PrescriptionsError`].
     pub fn prescriptions(&self, name: &str) -> Result<Prescriptions, PrescriptionsError> {
         match name {
-            "paper" => Ok(Prescriptions::listed(name, &self.pips, self.settings)),
+            "paper" => Ok(self.listed()),
             "bedside" => Ok(self.bedside.clone()),
             file => Prescriptions::find(file),
         }
+    }
+
+    /// The family's own waveforms, as prescriptions.
+    pub fn listed(&self) -> Prescriptions {
+        Prescriptions::listed(NAMES[0], &self.pips, self.settings)
     }
 
     /// Settings of the waveform for the plant with this number: the waveforms take turns.
