@@ -62,6 +62,15 @@ impl Lane {
     pub fn sum(&self) -> f32 {
         self.0.iter().sum()
     }
+
+    /// Sum over the rollouts, in an order that suits vectors of any width: the second half is added to the first one until one value
+    /// is left.
+    #[inline(always)]
+    pub fn sum_in_halves(&self) -> f32 {
+        let eight: [f32; 8] = std::array::from_fn(|l| self.0[l] + self.0[l + 8]);
+        let four: [f32; 4] = std::array::from_fn(|l| eight[l] + eight[l + 4]);
+        (four[0] + four[2]) + (four[1] + four[3])
+    }
 }
 
 impl Default for Lane {
@@ -153,13 +162,25 @@ fn multiply_tile<S: Simd, const N: usize>(simd: S, work: &mut Multiply<'_>, firs
         }
     }
     for (y, sum) in work.y[tile].iter_mut().zip(sums) {
-        S::as_mut_simd_f32s(&mut y.0).0[v] = sum;
+        vectors_mut::<S>(y)[v] = sum;
     }
 }
 
 #[inline(always)]
 fn vector<S: Simd>(lane: &Lane, v: usize) -> S::f32s {
-    S::as_simd_f32s(&lane.0).0[v]
+    vectors::<S>(lane)[v]
+}
+
+/// The vectors of a lane.
+#[inline(always)]
+pub(super) fn vectors<S: Simd>(lane: &Lane) -> &[S::f32s] {
+    S::as_simd_f32s(&lane.0).0
+}
+
+/// Mutable access to the vectors of a lane.
+#[inline(always)]
+pub(super) fn vectors_mut<S: Simd>(lane: &mut Lane) -> &mut [S::f32s] {
+    S::as_mut_simd_f32s(&mut lane.0).0
 }
 
 /// `dw[o][i] += sum over steps and rollouts of dy[t][o] x[t][i]`, with `dw[o][i]` at `o * inputs + i`.
@@ -183,29 +204,31 @@ impl WithSimd for OuterAdd<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let mut work = self;
-        let (rows, columns) = (work.outputs - work.outputs % 4, work.inputs - work.inputs % 2);
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let rows = self.outputs - self.outputs % 4;
         for o in (0..rows).step_by(4) {
-            for i in (0..columns).step_by(2) {
-                outer_tile::<S, 4, 2>(simd, &mut work, o, i);
-            }
-            for i in columns..work.inputs {
-                outer_tile::<S, 4, 1>(simd, &mut work, o, i);
-            }
+            outer_rows::<S, 4>(simd, &mut self, o);
         }
-        for o in rows..work.outputs {
-            for i in (0..columns).step_by(2) {
-                outer_tile::<S, 1, 2>(simd, &mut work, o, i);
-            }
-            for i in columns..work.inputs {
-                outer_tile::<S, 1, 1>(simd, &mut work, o, i);
-            }
+        for o in rows..self.outputs {
+            outer_rows::<S, 1>(simd, &mut self, o);
         }
     }
 }
 
-/// Gradient of outputs `first_o..+O` with respect to inputs `first_i..+I`.
+/// Gradient of outputs `first..first + O`.
+#[inline(always)]
+fn outer_rows<S: Simd, const O: usize>(simd: S, work: &mut OuterAdd<'_>, first: usize) {
+    let columns = work.inputs - work.inputs % 4;
+    for i in (0..columns).step_by(4) {
+        outer_tile::<S, O, 4>(simd, work, first, i);
+    }
+    for i in columns..work.inputs {
+        outer_tile::<S, O, 1>(simd, work, first, i);
+    }
+}
+
+/// Gradient of outputs `first_o..+O` with respect to inputs `first_i..+I`. Each rollout has a sum of its own, whatever the width of
+/// a vector.
 #[inline(always)]
 fn outer_tile<S: Simd, const O: usize, const I: usize>(
     simd: S,
@@ -213,10 +236,11 @@ fn outer_tile<S: Simd, const O: usize, const I: usize>(
     first_o: usize,
     first_i: usize,
 ) {
-    let mut sums = [[simd.splat_f32s(0.0); I]; O];
-    for (dy, x) in work.dy.chunks_exact(work.outputs).zip(work.x.chunks_exact(work.inputs)) {
-        let (dy, x) = (&dy[first_o..first_o + O], &x[first_i..first_i + I]);
-        for v in 0..LANES / S::F32_LANES {
+    let mut of_rollouts = [[Lane::ZERO; I]; O];
+    for v in 0..LANES / S::F32_LANES {
+        let mut sums = [[simd.splat_f32s(0.0); I]; O];
+        for (dy, x) in work.dy.chunks_exact(work.outputs).zip(work.x.chunks_exact(work.inputs)) {
+            let (dy, x) = (&dy[first_o..first_o + O], &x[first_i..first_i + I]);
             let x: [S::f32s; I] = std::array::from_fn(|i| vector::<S>(&x[i], v));
             for (sums, dy) in sums.iter_mut().zip(dy) {
                 let dy = vector::<S>(dy, v);
@@ -225,10 +249,14 @@ fn outer_tile<S: Simd, const O: usize, const I: usize>(
                 }
             }
         }
+        for (lane, sum) in of_rollouts.as_flattened_mut().iter_mut().zip(sums.as_flattened()) {
+            vectors_mut::<S>(lane)[v] = *sum;
+        }
     }
-    for (o, sums) in sums.into_iter().enumerate() {
-        for (i, sum) in sums.into_iter().enumerate() {
-            work.dw[(first_o + o) * work.inputs + first_i + i] += simd.reduce_sum_f32s(sum);
+    for (o, row) in of_rollouts.iter().enumerate() {
+        let dw = &mut work.dw[(first_o + o) * work.inputs + first_i..][..I];
+        for (dw, lane) in dw.iter_mut().zip(row) {
+            *dw += lane.sum_in_halves();
         }
     }
 }
