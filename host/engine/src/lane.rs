@@ -62,15 +62,6 @@ impl Lane {
     pub fn sum(&self) -> f32 {
         self.0.iter().sum()
     }
-
-    /// Sum over the rollouts, in an order that suits vectors of any width: the second half is added to the first one until one value
-    /// is left.
-    #[inline(always)]
-    pub fn sum_in_halves(&self) -> f32 {
-        let eight: [f32; 8] = std::array::from_fn(|l| self.0[l] + self.0[l + 8]);
-        let four: [f32; 4] = std::array::from_fn(|l| eight[l] + eight[l + 4]);
-        (four[0] + four[2]) + (four[1] + four[3])
-    }
 }
 
 impl Default for Lane {
@@ -256,14 +247,31 @@ fn outer_tile<S: Simd, const O: usize, const I: usize>(
     for (o, row) in of_rollouts.iter().enumerate() {
         let dw = &mut work.dw[(first_o + o) * work.inputs + first_i..][..I];
         for (dw, lane) in dw.iter_mut().zip(row) {
-            *dw += lane.sum_in_halves();
+            *dw += sum_over_rollouts(simd, *lane);
         }
     }
+}
+
+/// The sum in an order that suits vectors of any width: the second half is added to the first one until one value is left. So does
+/// `reduce_sum_f32s` on every machine.
+#[inline(always)]
+fn sum_over_rollouts<S: Simd>(simd: S, mut lane: Lane) -> f32 {
+    let vectors = vectors_mut::<S>(&mut lane);
+    let mut half = LANES / S::F32_LANES / 2;
+    while half > 0 {
+        for v in 0..half {
+            vectors[v] = simd.add_f32s(vectors[v], vectors[v + half]);
+        }
+        half /= 2;
+    }
+    simd.reduce_sum_f32s(vectors[0])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    #[cfg(target_arch = "x86_64")]
+    use pulp::x86::{V3, V3_128b, V3_256b, V3_512b, V4};
 
     /// Numbers without a pattern that could hide tiling errors.
     fn number(seed: usize) -> f32 {
@@ -305,6 +313,31 @@ mod tests {
                     (0..steps).map(|t| dy[t * outputs + o].zip(&x[t * inputs + i], |a, b| a * b).sum()).sum();
                 assert!((dw[o * inputs + i] - 0.5 - expected).abs() < 1e-3, "{o},{i}");
             }
+        }
+    }
+
+    /// Bits of a product and of a gradient with vectors of this width.
+    #[cfg(target_arch = "x86_64")]
+    fn bits(simd: impl Simd) -> [Vec<u32>; 2] {
+        let (inputs, outputs, steps) = (37, 13, 5);
+        let w: Vec<f32> = (0..inputs * outputs).map(number).collect();
+        let (x, dy) = (lanes(inputs * steps, 5), lanes(outputs * steps, 3));
+        let (mut y, mut dw) = (lanes(outputs, 7), w.clone());
+        simd.vectorize(Multiply { start: Start::Outputs, w: &w, x: &x[..inputs], y: &mut y });
+        simd.vectorize(OuterAdd { dy: &dy, x: &x, outputs, inputs, dw: &mut dw });
+        [y.iter().flat_map(|y| y.0).map(f32::to_bits).collect(), dw.iter().map(|dw| dw.to_bits()).collect()]
+    }
+
+    #[test]
+    #[cfg(target_arch = "x86_64")]
+    fn vectors_of_any_width_give_the_same_bits() {
+        let Some(v3) = V3::try_new() else { return };
+        let expected = bits(v3);
+        assert_eq!(bits(V3_128b(v3)), expected);
+        assert_eq!(bits(V3_256b(v3)), expected);
+        assert_eq!(bits(V3_512b(v3)), expected);
+        if let Some(v4) = V4::try_new() {
+            assert_eq!(bits(v4), expected);
         }
     }
 }

@@ -14,6 +14,7 @@ use super::config::FamilyConfig;
 use super::courses::Courses;
 use super::network::initial_parameters;
 use super::rollout::{ClosedLoopTape, LaneController};
+use super::tapes::Tapes;
 use super::training::{Checkpoint, Stepwise, Trained, mean};
 use crate::simulator::model::Model;
 use engine::adam::Adam;
@@ -41,7 +42,7 @@ pub struct FamilyTraining {
     ticks: usize,
     models: FamilyModels,
     courses: Vec<Courses>,
-    tapes: Vec<ClosedLoopTape>,
+    tapes: Tapes<ClosedLoopTape>,
     base_score: f64,
     state: Checkpoint,
 }
@@ -61,7 +62,6 @@ impl FamilyTraining {
         let parameters = warm.map_or_else(|| initial_parameters(&mut rng), <[f32]>::to_vec);
         let base = Residual::new(spec, Network::zero())?;
         let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
-        let shards = config.batch.div_ceil(LANES).max(1);
         let state = Checkpoint {
             iteration: 0,
             adam: Adam::new(config.adam, parameters.len()),
@@ -69,9 +69,8 @@ impl FamilyTraining {
             factors: Vec::new(),
             parameters,
         };
-        let tapes = (0..shards).map(|_| ClosedLoopTape::new(&models.trained_on, ticks)).collect();
-        let mut training =
-            Self { config, base, ticks, models, courses: Vec::new(), tapes, base_score: 0.0, state };
+        let (courses, tapes) = (Vec::new(), Tapes::new());
+        let mut training = Self { config, base, ticks, models, courses, tapes, base_score: 0.0, state };
         training.base_score = training.validate(&vec![0.0; Network::PARAMETERS]);
         training.keep_best();
         Ok(training)
@@ -119,7 +118,8 @@ impl Stepwise for FamilyTraining {
     fn prepare(&mut self) {
         let Self { config, models, base, state, .. } = &*self;
         let units = models.trained_on.architecture().members() as u32;
-        let courses = (0..self.tapes.len()).map(|shard| {
+        let shards = config.batch.div_ceil(LANES).max(1);
+        let courses = (0..shards).map(|shard| {
             let mut rng = stream(config, state.iteration, shard);
             Courses::new(units, base.spec().period_us, config, &mut rng)
         });
@@ -131,22 +131,21 @@ impl Stepwise for FamilyTraining {
         let Self { config, base, ticks, models, courses, tapes, state, .. } = self;
         let controller = LaneController::new(base, &state.parameters);
         let (size, iteration, model) = (state.parameters.len(), state.iteration, &models.trained_on);
-        let parts: Vec<(f64, Vec<f32>)> = courses
-            .par_iter_mut()
-            .zip(tapes)
-            .enumerate()
-            .map(|(shard, (courses, tape))| {
-                let mut rng = stream(config, iteration + 1, shard);
-                courses.pass(config, &mut rng);
-                let mut scenario = courses.scenario(config, *ticks, &mut rng);
-                let loss = controller.forward(model, &scenario, tape);
-                scenario.weight = courses.weights(&loss.score, config);
-                let mut gradient = vec![0.0; size];
-                controller.backward(&scenario, tape, &mut gradient);
-                courses.end(tape);
-                (logarithm(&loss.score), gradient)
-            })
-            .collect();
+        let of_shard = |(shard, courses): (usize, &mut Courses), tape: &mut ClosedLoopTape| {
+            let mut rng = stream(config, iteration + 1, shard);
+            courses.pass(config, &mut rng);
+            let mut scenario = courses.scenario(config, *ticks, &mut rng);
+            let loss = controller.forward(model, &scenario, tape);
+            scenario.weight = courses.weights(&loss.score, config);
+            let mut gradient = vec![0.0; size];
+            controller.backward(&scenario, tape, &mut gradient);
+            courses.end(tape);
+            (logarithm(&loss.score), gradient)
+        };
+        let make = || ClosedLoopTape::new(model, *ticks);
+        let shards = courses.par_iter_mut().enumerate();
+        let parts: Vec<(f64, Vec<f32>)> =
+            shards.map(|shard| tapes.lend(make, |tape| of_shard(shard, tape))).collect();
         let mut gradient = vec![0.0; size];
         for (_, part) in &parts {
             for (sum, part) in gradient.iter_mut().zip(part) {
