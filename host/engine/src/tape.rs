@@ -12,8 +12,8 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::lane::Lane;
-use crate::number::{Binary, Number, Unary};
-use crate::operators;
+use crate::number::{Binary, Number, Unary, each};
+use crate::{operators, power};
 
 /// Place of a number on its tape.
 pub type Place = usize;
@@ -74,7 +74,11 @@ impl Operation {
                         let first = slope.where_greater(at(a), at(b));
                         both(first, slope - first);
                     }
-                    Binary::Pow => both(slope * value * at(b) / at(a), slope * value * at(a).map(f32::ln)),
+                    Binary::Pow => {
+                        let (base, exponent) = (at(a), at(b));
+                        let logarithm = each(|l| power::ln(base[l]));
+                        both(slope * value * exponent / base, slope * value * logarithm);
+                    }
                 }
             }
             Self::WhereGreater(a, left, right) => give(a, slope.where_greater(at(left), at(right))),
@@ -301,7 +305,7 @@ mod tests {
         assert_eq!(tape.values[result], equation(given(0.0, 0)), "tape and lanes compute the same");
         let run = tape.values.clone();
         for varied in [0.1, 0.0] {
-            let pen = tape.pen(numbers.len());
+            let pen = tape.pen(places.len());
             equation(given(varied, 1).map(|value| pen.known(value)));
             assert_eq!(tape.values == run, varied == 0.0, "the pen writes what the tape computes");
         }

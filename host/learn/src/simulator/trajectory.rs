@@ -167,8 +167,8 @@ where
 
     #[inline(always)]
     fn with_simd<V: Simd>(self, _: V) {
-        let Tick { numbers, before, inputs, .. } = self.tick;
-        let known = |value: Lane| self.pen.known(value);
+        let Self { pen, tick: Tick { numbers, before, inputs, .. } } = self;
+        let known = |value: Lane| pen.known(value);
         E::tick(numbers.map(known), before.map(known), inputs.map(known));
     }
 }
