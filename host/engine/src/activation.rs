@@ -136,6 +136,17 @@ impl WithSimd for SoftsignBack<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared::math;
+
+    #[test]
+    fn softsign_has_the_bits_of_the_chip() {
+        for n in 0..1000_u16 {
+            let x = Lane::from_fn(|l| (f32::from(n) * 16.0 + l as f32).sin() * f32::from(n));
+            let mut values = [x];
+            Activation::Softsign.forward(&mut values);
+            assert_eq!(values[0].0.map(f32::to_bits), x.0.map(|x| math::softsign(x).to_bits()), "{x:?}");
+        }
+    }
 
     #[test]
     fn slopes_agree_with_finite_differences() {

@@ -1,7 +1,7 @@
-//! Lanes, and the three matrix kernels used by all layers.
+//! Lanes, and the two matrix kernels used by all layers.
 //!
-//! The kernels select the widest vector unit at run time. Results are identical per element (a fused multiply-add per
-//! term, in the order of the inputs) on every machine with such a unit.
+//! The kernels select the widest vector unit at run time. Results have the same bits on every machine with such a unit, whatever its
+//! width: a fused multiply-add per term, in the order of the inputs or steps, with a sum for each rollout.
 #![expect(
     clippy::inline_always,
     reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
@@ -124,12 +124,15 @@ impl WithSimd for Multiply<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let outputs = self.y.len();
-        let tiled = outputs - outputs % TILE;
+        let [tiled, halved] = [TILE, TILE / 2].map(|tile| outputs - outputs % tile);
         for v in 0..LANES / S::F32_LANES {
             for first in (0..tiled).step_by(TILE) {
                 multiply_tile::<S, TILE>(simd, &mut self, first, v);
             }
-            for first in tiled..outputs {
+            for first in (tiled..halved).step_by(TILE / 2) {
+                multiply_tile::<S, { TILE / 2 }>(simd, &mut self, first, v);
+            }
+            for first in halved..outputs {
                 multiply_tile::<S, 1>(simd, &mut self, first, v);
             }
         }
@@ -206,14 +209,18 @@ impl WithSimd for OuterAdd<'_> {
     }
 }
 
-/// Gradient of outputs `first..first + O`.
+/// Gradient of outputs `first..first + O`, in tiles that fill the registers.
 #[inline(always)]
 fn outer_rows<S: Simd, const O: usize>(simd: S, work: &mut OuterAdd<'_>, first: usize) {
-    let columns = work.inputs - work.inputs % 4;
-    for i in (0..columns).step_by(4) {
+    let wide = if S::REGISTER_COUNT < 32 { 0 } else { work.inputs - work.inputs % 4 };
+    let paired = work.inputs - work.inputs % 2;
+    for i in (0..wide).step_by(4) {
         outer_tile::<S, O, 4>(simd, work, first, i);
     }
-    for i in columns..work.inputs {
+    for i in (wide..paired).step_by(2) {
+        outer_tile::<S, O, 2>(simd, work, first, i);
+    }
+    for i in paired..work.inputs {
         outer_tile::<S, O, 1>(simd, work, first, i);
     }
 }
@@ -319,7 +326,7 @@ mod tests {
     /// Bits of a product and of a gradient with vectors of this width.
     #[cfg(target_arch = "x86_64")]
     fn bits(simd: impl Simd) -> [Vec<u32>; 2] {
-        let (inputs, outputs, steps) = (37, 13, 5);
+        let (inputs, outputs, steps) = (37, 15, 5);
         let w: Vec<f32> = (0..inputs * outputs).map(number).collect();
         let (x, dy) = (lanes(inputs * steps, 5), lanes(outputs * steps, 3));
         let (mut y, mut dw) = (lanes(outputs, 7), w.clone());
