@@ -1,12 +1,16 @@
-//! Control steps (1 ms each) per second through learned simulator and controller, both of default shape: forward pass
-//! only, and with gradient. Uses all cores; criterion's throughput counts control steps.
+//! Control steps (1 ms each) per second through simulator and controller: forward pass only, and with gradient, on a learned
+//! simulator of default shape; with gradient on the physical simulators of a family. Uses all cores; criterion's throughput counts
+//! control steps.
 //!
-//! Run with `cargo bench -p host -- rollout`.
+//! Run with `cargo bench -p host --bench rollout`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use learn::controller::{PlantModels, Stepwise, TrainConfig, Training};
-use learn::simulator::model::{Architecture, Simulator};
+use learn::controller::{
+    FamilyConfig, FamilyModels, FamilyTraining, PlantModels, Stepwise, TrainConfig, Training,
+};
+use learn::simulator::model::{Architecture, Model, Simulator};
 use learn::simulator::state_space::StateSpaceConfig;
+use learn::simulator::unit::UnitConfig;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::breath::DEFAULT_PERIOD_US;
@@ -17,6 +21,16 @@ use shared::control::residual::ResidualSpec;
 /// Number of control steps of the paper's inspiration.
 const TICKS: u64 = 1000;
 
+fn spec(gains: PidGains) -> ResidualSpec {
+    ResidualSpec {
+        period_us: DEFAULT_PERIOD_US,
+        gains,
+        lambda: 1.0,
+        authority: 100.0,
+        features: FeatureSpec::default(),
+    }
+}
+
 fn training(batch: usize) -> Training {
     let architecture = Architecture::StateSpace(StateSpaceConfig::for_period(DEFAULT_PERIOD_US, 1));
     let simulator = Simulator {
@@ -26,22 +40,34 @@ fn training(batch: usize) -> Training {
         start_pressure: 5.0,
         plant: "random".into(),
     };
-    let spec = ResidualSpec {
-        period_us: DEFAULT_PERIOD_US,
-        gains: PidGains { p: 1.0, i: 15.0, d: 0.0 },
-        lambda: 1.0,
-        authority: 100.0,
-        features: FeatureSpec::default(),
-    };
     // Enough iterations that the learning rate's schedule does not end within the measurement.
     let config = TrainConfig { batch, iterations: usize::MAX, ..TrainConfig::default() };
     match Training::new(
-        spec,
+        spec(PidGains { p: 1.0, i: 15.0, d: 0.0 }),
         &[PlantModels { trained_on: std::slice::from_ref(&simulator), held_out: &simulator }],
         config,
         None,
     ) {
         Ok(training) => training,
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Training for a family of units whose numbers differ by up to a fifth.
+fn family(batch: usize) -> FamilyTraining {
+    let units = UnitConfig::for_period(DEFAULT_PERIOD_US, 64);
+    let mut parameters = units.initialise();
+    for (n, parameter) in parameters.iter_mut().enumerate() {
+        *parameter += 0.2 * (n as f32).sin();
+    }
+    let model = Model::new(Architecture::Unit(units), &parameters);
+    let models = FamilyModels { trained_on: model.clone(), held_out: model };
+    let config = FamilyConfig { batch, iterations: usize::MAX, ..FamilyConfig::default() };
+    match FamilyTraining::new(spec(PidGains { p: 3.0, i: 25.0, d: 0.08 }), models, config, None) {
+        Ok(mut training) => {
+            training.prepare();
+            training
+        }
         Err(error) => panic!("{error}"),
     }
 }
@@ -55,6 +81,9 @@ fn rollout(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::new("forward", batch), |b| b.iter(|| training.rehearse()));
         group.bench_function(BenchmarkId::new("gradient", batch), |b| b.iter(|| training.step()));
     }
+    let mut training = family(64);
+    group.throughput(Throughput::Elements(TICKS * 64));
+    group.bench_function("family gradient/64", |b| b.iter(|| training.step()));
     group.finish();
 }
 

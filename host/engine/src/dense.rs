@@ -9,6 +9,9 @@ use super::lane::{Start, multiply, outer_add};
 /// Number of steps whose gradient is summed at once: few enough to stay in the first-level cache.
 const CHUNK: usize = 16;
 
+/// The input of a bias at each of these steps.
+static ONES: [Lane; CHUNK] = [Lane::splat(1.0); CHUNK];
+
 /// Shape of a layer, and position of its parameters within a flat parameter vector: weights row by row (one row per
 /// output), then biases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,11 +89,7 @@ impl DenseLayer {
         let chunks = dy.chunks(CHUNK * self.outputs).zip(x.chunks(CHUNK * self.inputs));
         for (dy, x) in chunks {
             outer_add(dy, x, self.outputs, self.inputs, weights);
-        }
-        for step in dy.chunks_exact(self.outputs) {
-            for (bias, dy) in bias.iter_mut().zip(step) {
-                *bias += dy.sum();
-            }
+            outer_add(dy, &ONES[..dy.len() / self.outputs], self.outputs, 1, bias);
         }
     }
 }

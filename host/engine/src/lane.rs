@@ -1,7 +1,7 @@
-//! Lanes, and the three matrix kernels used by all layers.
+//! Lanes, and the two matrix kernels used by all layers.
 //!
-//! The kernels select the widest vector unit at run time. Results are identical per element (a fused multiply-add per
-//! term, in the order of the inputs) on every machine with such a unit.
+//! The kernels select the widest vector unit at run time. Results have the same bits on every machine with such a unit, whatever its
+//! width: a fused multiply-add per term, in the order of the inputs or steps, with a sum for each rollout.
 #![expect(
     clippy::inline_always,
     reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
@@ -124,12 +124,15 @@ impl WithSimd for Multiply<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let outputs = self.y.len();
-        let tiled = outputs - outputs % TILE;
+        let [tiled, halved] = [TILE, TILE / 2].map(|tile| outputs - outputs % tile);
         for v in 0..LANES / S::F32_LANES {
             for first in (0..tiled).step_by(TILE) {
                 multiply_tile::<S, TILE>(simd, &mut self, first, v);
             }
-            for first in tiled..outputs {
+            for first in (tiled..halved).step_by(TILE / 2) {
+                multiply_tile::<S, { TILE / 2 }>(simd, &mut self, first, v);
+            }
+            for first in halved..outputs {
                 multiply_tile::<S, 1>(simd, &mut self, first, v);
             }
         }
@@ -153,13 +156,25 @@ fn multiply_tile<S: Simd, const N: usize>(simd: S, work: &mut Multiply<'_>, firs
         }
     }
     for (y, sum) in work.y[tile].iter_mut().zip(sums) {
-        S::as_mut_simd_f32s(&mut y.0).0[v] = sum;
+        vectors_mut::<S>(y)[v] = sum;
     }
 }
 
 #[inline(always)]
 fn vector<S: Simd>(lane: &Lane, v: usize) -> S::f32s {
-    S::as_simd_f32s(&lane.0).0[v]
+    vectors::<S>(lane)[v]
+}
+
+/// The vectors of a lane.
+#[inline(always)]
+pub(super) fn vectors<S: Simd>(lane: &Lane) -> &[S::f32s] {
+    S::as_simd_f32s(&lane.0).0
+}
+
+/// Mutable access to the vectors of a lane.
+#[inline(always)]
+pub(super) fn vectors_mut<S: Simd>(lane: &mut Lane) -> &mut [S::f32s] {
+    S::as_mut_simd_f32s(&mut lane.0).0
 }
 
 /// `dw[o][i] += sum over steps and rollouts of dy[t][o] x[t][i]`, with `dw[o][i]` at `o * inputs + i`.
@@ -183,29 +198,35 @@ impl WithSimd for OuterAdd<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let mut work = self;
-        let (rows, columns) = (work.outputs - work.outputs % 4, work.inputs - work.inputs % 2);
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let rows = self.outputs - self.outputs % 4;
         for o in (0..rows).step_by(4) {
-            for i in (0..columns).step_by(2) {
-                outer_tile::<S, 4, 2>(simd, &mut work, o, i);
-            }
-            for i in columns..work.inputs {
-                outer_tile::<S, 4, 1>(simd, &mut work, o, i);
-            }
+            outer_rows::<S, 4>(simd, &mut self, o);
         }
-        for o in rows..work.outputs {
-            for i in (0..columns).step_by(2) {
-                outer_tile::<S, 1, 2>(simd, &mut work, o, i);
-            }
-            for i in columns..work.inputs {
-                outer_tile::<S, 1, 1>(simd, &mut work, o, i);
-            }
+        for o in rows..self.outputs {
+            outer_rows::<S, 1>(simd, &mut self, o);
         }
     }
 }
 
-/// Gradient of outputs `first_o..+O` with respect to inputs `first_i..+I`.
+/// Gradient of outputs `first..first + O`, in tiles that fill the registers.
+#[inline(always)]
+fn outer_rows<S: Simd, const O: usize>(simd: S, work: &mut OuterAdd<'_>, first: usize) {
+    let wide = if S::REGISTER_COUNT < 32 { 0 } else { work.inputs - work.inputs % 4 };
+    let paired = work.inputs - work.inputs % 2;
+    for i in (0..wide).step_by(4) {
+        outer_tile::<S, O, 4>(simd, work, first, i);
+    }
+    for i in (wide..paired).step_by(2) {
+        outer_tile::<S, O, 2>(simd, work, first, i);
+    }
+    for i in paired..work.inputs {
+        outer_tile::<S, O, 1>(simd, work, first, i);
+    }
+}
+
+/// Gradient of outputs `first_o..+O` with respect to inputs `first_i..+I`. Each rollout has a sum of its own, whatever the width of
+/// a vector.
 #[inline(always)]
 fn outer_tile<S: Simd, const O: usize, const I: usize>(
     simd: S,
@@ -213,10 +234,11 @@ fn outer_tile<S: Simd, const O: usize, const I: usize>(
     first_o: usize,
     first_i: usize,
 ) {
-    let mut sums = [[simd.splat_f32s(0.0); I]; O];
-    for (dy, x) in work.dy.chunks_exact(work.outputs).zip(work.x.chunks_exact(work.inputs)) {
-        let (dy, x) = (&dy[first_o..first_o + O], &x[first_i..first_i + I]);
-        for v in 0..LANES / S::F32_LANES {
+    let mut of_rollouts = [[Lane::ZERO; I]; O];
+    for v in 0..LANES / S::F32_LANES {
+        let mut sums = [[simd.splat_f32s(0.0); I]; O];
+        for (dy, x) in work.dy.chunks_exact(work.outputs).zip(work.x.chunks_exact(work.inputs)) {
+            let (dy, x) = (&dy[first_o..first_o + O], &x[first_i..first_i + I]);
             let x: [S::f32s; I] = std::array::from_fn(|i| vector::<S>(&x[i], v));
             for (sums, dy) in sums.iter_mut().zip(dy) {
                 let dy = vector::<S>(dy, v);
@@ -225,17 +247,38 @@ fn outer_tile<S: Simd, const O: usize, const I: usize>(
                 }
             }
         }
-    }
-    for (o, sums) in sums.into_iter().enumerate() {
-        for (i, sum) in sums.into_iter().enumerate() {
-            work.dw[(first_o + o) * work.inputs + first_i + i] += simd.reduce_sum_f32s(sum);
+        for (lane, sum) in of_rollouts.as_flattened_mut().iter_mut().zip(sums.as_flattened()) {
+            vectors_mut::<S>(lane)[v] = *sum;
         }
     }
+    for (o, row) in of_rollouts.iter().enumerate() {
+        let dw = &mut work.dw[(first_o + o) * work.inputs + first_i..][..I];
+        for (dw, lane) in dw.iter_mut().zip(row) {
+            *dw += sum_over_rollouts(simd, *lane);
+        }
+    }
+}
+
+/// The sum in an order that suits vectors of any width: the second half is added to the first one until one value is left. So does
+/// `reduce_sum_f32s` on every machine.
+#[inline(always)]
+fn sum_over_rollouts<S: Simd>(simd: S, mut lane: Lane) -> f32 {
+    let vectors = vectors_mut::<S>(&mut lane);
+    let mut half = LANES / S::F32_LANES / 2;
+    while half > 0 {
+        for v in 0..half {
+            vectors[v] = simd.add_f32s(vectors[v], vectors[v + half]);
+        }
+        half /= 2;
+    }
+    simd.reduce_sum_f32s(vectors[0])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    #[cfg(target_arch = "x86_64")]
+    use pulp::x86::{V3, V3_128b, V3_256b, V3_512b, V4};
 
     /// Numbers without a pattern that could hide tiling errors.
     fn number(seed: usize) -> f32 {
@@ -277,6 +320,31 @@ mod tests {
                     (0..steps).map(|t| dy[t * outputs + o].zip(&x[t * inputs + i], |a, b| a * b).sum()).sum();
                 assert!((dw[o * inputs + i] - 0.5 - expected).abs() < 1e-3, "{o},{i}");
             }
+        }
+    }
+
+    /// Bits of a product and of a gradient with vectors of this width.
+    #[cfg(target_arch = "x86_64")]
+    fn bits(simd: impl Simd) -> [Vec<u32>; 2] {
+        let (inputs, outputs, steps) = (37, 15, 5);
+        let w: Vec<f32> = (0..inputs * outputs).map(number).collect();
+        let (x, dy) = (lanes(inputs * steps, 5), lanes(outputs * steps, 3));
+        let (mut y, mut dw) = (lanes(outputs, 7), w.clone());
+        simd.vectorize(Multiply { start: Start::Outputs, w: &w, x: &x[..inputs], y: &mut y });
+        simd.vectorize(OuterAdd { dy: &dy, x: &x, outputs, inputs, dw: &mut dw });
+        [y.iter().flat_map(|y| y.0).map(f32::to_bits).collect(), dw.iter().map(|dw| dw.to_bits()).collect()]
+    }
+
+    #[test]
+    #[cfg(target_arch = "x86_64")]
+    fn vectors_of_any_width_give_the_same_bits() {
+        let Some(v3) = V3::try_new() else { return };
+        let expected = bits(v3);
+        assert_eq!(bits(V3_128b(v3)), expected);
+        assert_eq!(bits(V3_256b(v3)), expected);
+        assert_eq!(bits(V3_512b(v3)), expected);
+        if let Some(v4) = V4::try_new() {
+            assert_eq!(bits(v4), expected);
         }
     }
 }

@@ -15,6 +15,7 @@ pub mod huber;
 pub mod lane;
 pub mod least_squares;
 pub mod number;
+pub mod power;
 pub mod tape;
 
 pub use lane::{LANES, Lane};

@@ -11,6 +11,7 @@
 use std::ops::{Add, Div, Mul, Sub};
 
 use crate::lane::{LANES, Lane};
+use crate::power;
 
 /// An operation on one number, by its name in ONNX.
 #[derive(Clone, Copy, Debug)]
@@ -145,7 +146,7 @@ impl Number for Lane {
         match operation {
             Unary::Sqrt => self.map(f32::sqrt),
             Unary::Abs => self.map(f32::abs),
-            Unary::Exp => self.map(f32::exp),
+            Unary::Exp => each(|l| power::exp(self[l])),
             Unary::Floor => self.map(f32::floor),
         }
     }
@@ -159,16 +160,22 @@ impl Number for Lane {
             Binary::Div => self.zip(&other, |a, b| a / b),
             Binary::Min => self.zip(&other, |a, b| if a < b { a } else { b }),
             Binary::Max => self.zip(&other, |a, b| if a > b { a } else { b }),
-            Binary::Pow => self.zip(&other, f32::powf),
+            Binary::Pow => each(|l| power::pow(self[l], other[l])),
         }
     }
 
     #[inline(always)]
     fn where_greater(self, left: Self, right: Self) -> Self {
-        let mut chosen = Self::ZERO;
-        for l in 0..LANES {
-            chosen[l] = if left[l] > right[l] { self[l] } else { 0.0 };
-        }
-        chosen
+        each(|l| if left[l] > right[l] { self[l] } else { 0.0 })
     }
+}
+
+/// A lane of the value `f(l)` for rollout `l`, as a loop: of a long function, the compiler makes no vectors otherwise.
+#[inline(always)]
+pub(crate) fn each(f: impl Fn(usize) -> f32) -> Lane {
+    let mut values = Lane::ZERO;
+    for l in 0..LANES {
+        values[l] = f(l);
+    }
+    values
 }

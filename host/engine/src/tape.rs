@@ -6,14 +6,14 @@
     reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
 )]
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::lane::Lane;
-use crate::number::{Binary, Number, Unary};
-use crate::operators;
+use crate::number::{Binary, Number, Unary, each};
+use crate::{operators, power};
 
 /// Place of a number on its tape.
 pub type Place = usize;
@@ -74,7 +74,11 @@ impl Operation {
                         let first = slope.where_greater(at(a), at(b));
                         both(first, slope - first);
                     }
-                    Binary::Pow => both(slope * value * at(b) / at(a), slope * value * at(a).map(f32::ln)),
+                    Binary::Pow => {
+                        let (base, exponent) = (at(a), at(b));
+                        let logarithm = each(|l| power::ln(base[l]));
+                        both(slope * value * exponent / base, slope * value * logarithm);
+                    }
                 }
             }
             Self::WhereGreater(a, left, right) => give(a, slope.where_greater(at(left), at(right))),
@@ -165,10 +169,72 @@ impl Tape {
         Arch::new().dispatch(Run { tape: self, places });
     }
 
+    /// A pen that writes numbers at the places from here on.
+    pub fn pen(&mut self, first: Place) -> Pen<'_> {
+        Pen { values: Cell::from_mut(&mut self.values[..]).as_slice_of_cells(), next: Cell::new(first) }
+    }
+
     /// Walks back through a range of places: adds the gradient with respect to each number to those with
     /// respect to the ones that it is made of.
     pub fn walk_back(&mut self, places: Range<Place>) {
         Arch::new().dispatch(WalkBack { tape: self, places });
+    }
+}
+
+/// Writes the numbers of equations on their tape while these compute, in the order in which they were recorded: the same as
+/// [`Tape::run`], without looking up operation by operation.
+#[derive(Debug)]
+pub struct Pen<'t> {
+    values: &'t [Cell<Lane>],
+    next: Cell<Place>,
+}
+
+impl Pen<'_> {
+    /// A number that is on the tape already.
+    #[inline(always)]
+    pub fn known(&self, value: Lane) -> Written<'_> {
+        Written { pen: self, value }
+    }
+
+    #[inline(always)]
+    fn write(&self, value: Lane) -> Written<'_> {
+        let place = self.next.get();
+        self.values[place].set(value);
+        self.next.set(place + 1);
+        Written { pen: self, value }
+    }
+}
+
+/// A number of an equation that is being written.
+#[derive(Clone, Copy, Debug)]
+pub struct Written<'p> {
+    pen: &'p Pen<'p>,
+    value: Lane,
+}
+
+operators!(Written<'_>);
+
+impl Number for Written<'_> {
+    #[inline(always)]
+    fn constant(self, value: f32) -> Self {
+        // It is on the tape from the beginning.
+        self.pen.next.update(|place| place + 1);
+        Self { pen: self.pen, value: Lane::splat(value) }
+    }
+
+    #[inline(always)]
+    fn one(self, operation: Unary) -> Self {
+        self.pen.write(self.value.one(operation))
+    }
+
+    #[inline(always)]
+    fn two(self, operation: Binary, other: Self) -> Self {
+        self.pen.write(self.value.two(operation, other.value))
+    }
+
+    #[inline(always)]
+    fn where_greater(self, left: Self, right: Self) -> Self {
+        self.pen.write(self.value.where_greater(left.value, right.value))
     }
 }
 
@@ -237,6 +303,12 @@ mod tests {
         }
         tape.run(0..result + 1);
         assert_eq!(tape.values[result], equation(given(0.0, 0)), "tape and lanes compute the same");
+        let run = tape.values.clone();
+        for varied in [0.1, 0.0] {
+            let pen = tape.pen(places.len());
+            equation(given(varied, 1).map(|value| pen.known(value)));
+            assert_eq!(tape.values == run, varied == 0.0, "the pen writes what the tape computes");
+        }
         tape.slopes[result] = Lane::splat(1.0);
         tape.walk_back(0..result + 1);
         for (n, place) in places.into_iter().enumerate() {

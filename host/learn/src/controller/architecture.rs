@@ -160,5 +160,5 @@ pub trait LanePart: Clone + Debug + Send + Sync {
     );
 
     /// Adds the gradient with respect to the parameters over the breath's ticks.
-    fn finish(&self, tape: &Self::Tape, ticks: usize, gradient: &mut [f32]);
+    fn finish(&self, tape: &Self::Tape, gradient: &mut [f32]);
 }

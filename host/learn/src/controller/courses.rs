@@ -17,7 +17,7 @@ use crate::simulator::BreathStart;
 use engine::{LANES, Lane};
 
 /// Score below which the errors of a course weigh no more, cmH2O.
-const LEAST_SCORE: f32 = 0.1;
+const LEAST_SCORE: f32 = 0.5;
 /// Time after its rise from which a pressure should have settled, s.
 const AFTER_RISE_S: f32 = 0.2;
 
@@ -331,7 +331,7 @@ mod tests {
         };
         assert_eq!(weights(2.0), [15, 5, 10]);
         assert_eq!(weights(4.0)[1], 5, "the best breath counts");
-        assert_eq!(weights(1e-3)[1], 100, "but not without limit");
+        assert_eq!(weights(1e-3)[1], 20, "but not without limit");
     }
 
     #[test]

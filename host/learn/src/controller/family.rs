@@ -14,6 +14,7 @@ use super::config::FamilyConfig;
 use super::courses::Courses;
 use super::network::initial_parameters;
 use super::rollout::{ClosedLoopTape, LaneController};
+use super::tapes::Tapes;
 use super::training::{Checkpoint, Stepwise, Trained, mean};
 use crate::simulator::model::Model;
 use engine::adam::Adam;
@@ -40,7 +41,7 @@ pub struct FamilyTraining {
     base: Residual,
     models: FamilyModels,
     courses: Vec<Courses>,
-    tapes: Vec<ClosedLoopTape>,
+    tapes: Tapes<ClosedLoopTape>,
     base_score: f64,
     state: Checkpoint,
 }
@@ -66,7 +67,7 @@ impl FamilyTraining {
             factors: Vec::new(),
             parameters,
         };
-        let (courses, tapes) = (Vec::new(), Vec::new());
+        let (courses, tapes) = (Vec::new(), Tapes::new());
         let mut training = Self { config, base, models, courses, tapes, base_score: 0.0, state };
         training.base_score = training.validate(&vec![0.0; Network::PARAMETERS]);
         training.keep_best();
@@ -122,8 +123,8 @@ impl Stepwise for FamilyTraining {
             Courses::new(units, base.spec().period_us, place(shard, shards), config, &mut rng)
         };
         *courses = (0..shards).map(begin).collect();
-        let tape = |courses: &Courses| ClosedLoopTape::new(&models.trained_on, courses.ticks());
-        *tapes = courses.iter().map(tape).collect();
+        // Inspirations of another length need another tape.
+        *tapes = Tapes::new();
     }
 
     /// The score is a geometric mean.
@@ -131,22 +132,22 @@ impl Stepwise for FamilyTraining {
         let Self { config, base, models, courses, tapes, state, .. } = self;
         let controller = LaneController::new(base, &state.parameters);
         let (size, iteration, model) = (state.parameters.len(), state.iteration, &models.trained_on);
-        let parts: Vec<(f64, Vec<f32>)> = courses
-            .par_iter_mut()
-            .zip(tapes)
-            .enumerate()
-            .map(|(shard, (courses, tape))| {
-                let mut rng = stream(config, iteration + 1, shard);
-                courses.pass(config, &mut rng);
-                let mut scenario = courses.scenario(config, &mut rng);
-                let loss = controller.forward(model, &scenario, tape);
-                scenario.weight = courses.weights(&loss.score, config);
-                let mut gradient = vec![0.0; size];
-                controller.backward(&scenario, tape, &mut gradient);
-                courses.end(tape);
-                (logarithm(&loss.score), gradient)
-            })
-            .collect();
+        let of_shard = |(shard, courses): (usize, &mut Courses), tape: &mut ClosedLoopTape| {
+            let mut rng = stream(config, iteration + 1, shard);
+            courses.pass(config, &mut rng);
+            let mut scenario = courses.scenario(config, &mut rng);
+            let loss = controller.forward(model, &scenario, tape);
+            scenario.weight = courses.weights(&loss.score, config);
+            let mut gradient = vec![0.0; size];
+            controller.backward(&scenario, tape, &mut gradient);
+            courses.end(tape);
+            (logarithm(&loss.score), gradient)
+        };
+        let longest = courses.iter().map(Courses::ticks).max().unwrap_or(0);
+        let make = || ClosedLoopTape::new(model, longest);
+        let shards = courses.par_iter_mut().enumerate();
+        let parts: Vec<(f64, Vec<f32>)> =
+            shards.map(|shard| tapes.lend(make, |tape| of_shard(shard, tape))).collect();
         let mut gradient = vec![0.0; size];
         for (_, part) in &parts {
             for (sum, part) in gradient.iter_mut().zip(part) {

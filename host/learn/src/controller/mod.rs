@@ -24,6 +24,7 @@ pub mod rollout;
 pub mod scenario;
 pub mod shipped;
 mod signals;
+mod tapes;
 mod training;
 
 pub use architecture::{ControllerArchitecture, Trainable};

@@ -115,7 +115,7 @@ mod tests {
         let output = network.forward(&mut tape, 0);
         let d_features = network.backward(&mut tape, 0, output).to_vec();
         let mut gradient = vec![0.0; parameters.len()];
-        network.finish(&tape, 1, &mut gradient);
+        network.finish(&tape, &mut gradient);
 
         let loss = |parameters: &[f32], tape: &mut LayersTape| {
             let y = lane_network(parameters).forward(tape, 0);

@@ -135,7 +135,7 @@ impl LanePart for OurLanes {
         breath.features.backward(&mut breath.averages, d_features, tick, d_signals, d_integral);
     }
 
-    fn finish(&self, tape: &LayersTape, ticks: usize, gradient: &mut [f32]) {
-        self.network.finish(tape, ticks, gradient);
+    fn finish(&self, tape: &LayersTape, gradient: &mut [f32]) {
+        self.network.finish(tape, gradient);
     }
 }

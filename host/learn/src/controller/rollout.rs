@@ -140,7 +140,7 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         for tick in (0..scenario.ticks).rev() {
             self.tick_back(scenario, tape, &mut back, tick);
         }
-        self.learned.finish(&tape.learned, scenario.ticks, gradient);
+        self.learned.finish(&tape.learned, gradient);
     }
 
     fn tick_back(

@@ -15,6 +15,7 @@ use super::architecture::Trainable;
 use super::config::TrainConfig;
 use super::rollout::{ClosedLoopTape, LaneController};
 use super::scenario::{Prescribed, Scenario};
+use super::tapes::Tapes;
 use crate::simulator::model::{Model, Simulator};
 use engine::adam::Adam;
 use engine::{LANES, Lane};
@@ -110,7 +111,8 @@ pub struct Training<C: Trainable = Residual> {
     base: C,
     plants: Vec<Ensemble>,
     ticks: usize,
-    tapes: Vec<ClosedLoopTape<C>>,
+    shards: usize,
+    tapes: Tapes<ClosedLoopTape<C>>,
     base_score: f64,
     /// Everything that changes from step to step.
     state: Checkpoint,
@@ -227,9 +229,6 @@ impl<C: Trainable> Training<C> {
         let plants: Vec<Ensemble> = plants.iter().map(|plant| Ensemble::new(plant, &config)).collect();
         // All plants have the same number of shards.
         let shards = config.batch.div_ceil(LANES).max(1).next_multiple_of(plants.len());
-        let tapes = (0..shards)
-            .map(|shard| ClosedLoopTape::new(&plants[shard % plants.len()].trained_on[0].model, ticks))
-            .collect();
         let state = Checkpoint {
             iteration: 0,
             adam: Adam::new(config.adam, parameters.len()),
@@ -237,7 +236,8 @@ impl<C: Trainable> Training<C> {
             factors: vec![1.0; plants.len()],
             parameters,
         };
-        let mut training = Self { config, base, plants, ticks, tapes, base_score: 0.0, state };
+        let tapes = Tapes::new();
+        let mut training = Self { config, base, plants, ticks, shards, tapes, base_score: 0.0, state };
         training.base_score = mean(&training.validate(&vec![0.0; C::size()]));
         training.keep_best();
         Ok(training)
@@ -253,17 +253,16 @@ impl<C: Trainable> Training<C> {
 
     /// Draws the next step's batch and passes each shard to `work`, in parallel; results keep the shards' order.
     fn on_shards<T: Send>(
-        &mut self,
+        &self,
         work: impl Fn(&LaneController<'_, C>, &Model, &Scenario, &mut ClosedLoopTape<C>) -> T + Sync,
     ) -> Vec<T> {
         let controller = LaneController::new(&self.base, &self.state.parameters);
         let (config, plants, factors, ticks, iteration) =
             (&self.config, &self.plants, &self.state.factors, self.ticks, self.state.iteration);
-        let shards_each = self.tapes.len() / plants.len();
-        self.tapes
-            .par_iter_mut()
-            .enumerate()
-            .map(|(shard, tape)| {
+        let shards_each = self.shards / plants.len();
+        (0..self.shards)
+            .into_par_iter()
+            .map(|shard| {
                 let (plant, turn) = (shard % plants.len(), shard / plants.len());
                 let members = &plants[plant].trained_on;
                 // If there are fewer shards than members, the members take turns.
@@ -272,7 +271,8 @@ impl<C: Trainable> Training<C> {
                 let stream = (iteration as u64).wrapping_mul(1 << 16) + shard as u64;
                 let mut scenario = member.draw(config, ticks, stream);
                 scenario.weight = Lane::splat(factors[plant]);
-                work(&controller, &member.model, &scenario, tape)
+                let make = || ClosedLoopTape::new(&member.model, ticks);
+                self.tapes.lend(make, |tape| work(&controller, &member.model, &scenario, tape))
             })
             .collect()
     }

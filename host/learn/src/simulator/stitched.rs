@@ -195,7 +195,7 @@ impl Dynamics for Stitched {
 
     fn finish(&self, gradient: &mut [f32]) {
         for (step, tape) in self.steps.iter().enumerate() {
-            self.networks[step.min(BOUNDARIES)].finish(tape, 1, gradient);
+            self.networks[step.min(BOUNDARIES)].finish(tape, gradient);
         }
     }
 }

@@ -1,11 +1,17 @@
 //! Equations of a simulator over the ticks of a rollout: forward on lanes, and backward over a tape of one
 //! tick.
+#![expect(
+    clippy::inline_always,
+    reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
+)]
 
+use std::marker::PhantomData;
 use std::ops::Range;
 
 use engine::Lane;
 use engine::number::Number;
-use engine::tape::{Place, Recorded, Recorder, Tape};
+use engine::tape::{Pen, Place, Recorded, Recorder, Tape};
+use pulp::{Arch, Simd, WithSimd};
 
 /// Equations with `G` numbers that are given for a breath, `N` numbers that hold during it, `S` of state, and
 /// `I` inputs of a tick.
@@ -84,7 +90,8 @@ where
     /// Runs one tick; returns the state after it.
     pub fn step(&mut self, tick: usize, inputs: &[Lane; I]) -> &[Lane; S] {
         self.ticks[tick] = (self.state, *inputs);
-        self.state = E::tick(self.numbers, self.state, *inputs);
+        let (numbers, equations) = (&self.numbers, PhantomData::<E>);
+        self.state = Arch::new().dispatch(Tick { equations, numbers, before: &self.state, inputs });
         &self.state
     }
 
@@ -96,8 +103,10 @@ where
         let (state_at, inputs_at) = (self.tick, self.tick + S);
         self.tape.values[state_at..inputs_at].copy_from_slice(before);
         self.tape.values[inputs_at..inputs_at + I].copy_from_slice(inputs);
+        let (pen, numbers) = (self.tape.pen(inputs_at + I), &self.numbers);
+        Arch::new()
+            .dispatch(Rewrite { pen, tick: Tick { equations: PhantomData::<E>, numbers, before, inputs } });
         let end = self.tape.values.len();
-        self.tape.run(inputs_at + I..end);
         self.tape.slopes[self.tick..].fill(Lane::ZERO);
         self.walk_back(self.places.after, self.tick..end);
         let slopes = &self.tape.slopes;
@@ -120,5 +129,46 @@ where
     /// Gradient with respect to what was given for the breath, after the backward pass of all ticks.
     pub fn gradient(&self) -> [Lane; G] {
         std::array::from_fn(|place| self.tape.slopes[place])
+    }
+}
+
+/// A tick.
+struct Tick<'a, E, const G: usize, const N: usize, const S: usize, const I: usize> {
+    equations: PhantomData<E>,
+    numbers: &'a [Lane; N],
+    before: &'a [Lane; S],
+    inputs: &'a [Lane; I],
+}
+
+impl<E, const G: usize, const N: usize, const S: usize, const I: usize> WithSimd for Tick<'_, E, G, N, S, I>
+where
+    E: Equations<G, N, S, I>,
+{
+    type Output = [Lane; S];
+
+    #[inline(always)]
+    fn with_simd<V: Simd>(self, _: V) -> [Lane; S] {
+        E::tick(*self.numbers, *self.before, *self.inputs)
+    }
+}
+
+/// A tick that writes its numbers on the tape.
+struct Rewrite<'a, E, const G: usize, const N: usize, const S: usize, const I: usize> {
+    pen: Pen<'a>,
+    tick: Tick<'a, E, G, N, S, I>,
+}
+
+impl<E, const G: usize, const N: usize, const S: usize, const I: usize> WithSimd
+    for Rewrite<'_, E, G, N, S, I>
+where
+    E: Equations<G, N, S, I>,
+{
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<V: Simd>(self, _: V) {
+        let Self { pen, tick: Tick { numbers, before, inputs, .. } } = self;
+        let known = |value: Lane| pen.known(value);
+        E::tick(numbers.map(known), before.map(known), inputs.map(known));
     }
 }

@@ -243,7 +243,7 @@ impl LanePart for AuthorsLanes {
         averages::backward(d_averages, tick, self.spacing, &mut d_signals.error);
     }
 
-    fn finish(&self, tape: &ConvolutionTape, _ticks: usize, gradient: &mut [f32]) {
+    fn finish(&self, tape: &ConvolutionTape, gradient: &mut [f32]) {
         Convolution::finish(tape, gradient);
     }
 }

@@ -6,6 +6,10 @@
 //! C  da/dt = q                                alveolar pressure a
 //! p - a    = R1 q + R2 q |q|                  R1, R2 in proportion to the nominal R
 //! ```
+#![expect(
+    clippy::inline_always,
+    reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
+)]
 
 use super::ventilator::OPENINGS;
 use crate::simulator::branch::conductance;
@@ -73,7 +77,7 @@ impl Equations<GIVEN, NUMBERS, STATE, OPENINGS> for LungEquations {
         (numbers, [pressure, pressure + left * (plateau - pressure)])
     }
 
-    #[inline]
+    #[inline(always)]
     fn tick<Q: Number>(
         [linear, square, rise, keep, supply]: [Q; NUMBERS],
         [p, a]: [Q; STATE],
@@ -91,7 +95,7 @@ impl Equations<GIVEN, NUMBERS, STATE, OPENINGS> for LungEquations {
 
 /// Conductance of a unit opening under a pressure drop: flow is proportional to the root of the drop,
 /// smoothed around zero.
-#[inline]
+#[inline(always)]
 fn orifice<Q: Number>(drop: Q) -> Q {
     let one = drop.constant(1.0);
     one / (drop * drop + one).sqrt().sqrt()

@@ -1,4 +1,8 @@
 //! The equations of a unit over a tick: its valve, and its lung behind the circuit.
+#![expect(
+    clippy::inline_always,
+    reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
+)]
 
 use engine::number::Number;
 
@@ -68,7 +72,7 @@ impl Equations<GIVEN, NUMBERS, STATE, INPUTS> for UnitEquations {
         (self.numbers(unit), Self::start(left, [pressure, peep, plateau, rest]))
     }
 
-    #[inline]
+    #[inline(always)]
     fn tick<Q: Number>(numbers: [Q; NUMBERS], before: [Q; STATE], inputs: [Q; INPUTS]) -> [Q; STATE] {
         let [part, share, play, zone, exponent, full_flow, supply, lung @ ..] = numbers;
         let [actuator, stem, lung_before @ ..] = before;

@@ -4,6 +4,10 @@
 //! Cc dp/dt = F w sqrt(1 - p/S) - e g_e (p - PEEP) - g_l p - q      airway pressure p, opening e of the closing expiratory valve
 //! C  da/dt = q,  p - a = R q (1 + k |q|)                          alveolar pressure a
 //! ```
+#![expect(
+    clippy::inline_always,
+    reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
+)]
 
 use engine::number::Number;
 
@@ -56,7 +60,7 @@ pub(super) fn left_in_lung<Q: Number>([inspiration, expiration]: [Q; 2], [r, c, 
 
 /// Expiratory opening, airway, alveolar and sensed pressure, cmH2O, after a tick with this flow of the valve
 /// without back-pressure, L/s.
-#[inline]
+#[inline(always)]
 pub(super) fn tick<Q: Number>(
     [linear, square, rise, leak, keep, closing, expiratory, sensor]: [Q; NUMBERS],
     [opening, p, a, sensed]: [Q; STATE],

@@ -4,6 +4,10 @@
 //! u_d  = command a dead time ago, between two ticks        a' = a + (u_d - a)(1 - exp(-tick / lag))
 //! s'   = s held within [a', a' + min(play, a')]            w  = max((s' - zone) / (100 - zone), 0) ^ exponent
 //! ```
+#![expect(
+    clippy::inline_always,
+    reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
+)]
 
 use engine::number::Number;
 
@@ -41,7 +45,7 @@ pub(super) fn numbers<Q: Number>(
 /// Actuator and stem after a tick, percent, and the share of the full flow. Nothing moves a stem that rests
 /// within the play behind the actuator; near the seat, where the actuator's position is less than the play,
 /// the play is that position.
-#[inline]
+#[inline(always)]
 pub(super) fn tick<Q: Number>(
     [part, share, play, zone, exponent]: [Q; NUMBERS],
     [actuator, stem]: [Q; STATE],
@@ -55,7 +59,7 @@ pub(super) fn tick<Q: Number>(
 }
 
 /// Share of the full flow at a position of the stem, percent.
-#[inline]
+#[inline(always)]
 pub(super) fn opening<Q: Number>(stem: Q, zone: Q, exponent: Q) -> Q {
     let travel = (stem - zone) / (zone.constant(FULL) - zone);
     let least = zone.constant(LEAST);
