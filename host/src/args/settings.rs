@@ -23,6 +23,11 @@ impl SettingsArgs {
         Settings::from_values(values)
     }
 
+    /// Whether a setting was given.
+    pub fn any(&self) -> bool {
+        !self.settings.is_empty()
+    }
+
     /// The settings, checked with each of these PIPs.
     ///
     /// # Errors

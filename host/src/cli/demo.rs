@@ -12,6 +12,7 @@ use crate::args::bench::BenchArgs;
 use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use learn::controller::TrainConfig;
 use learn::pipeline::PipelineConfig;
+use plant::prescriptions::Prescriptions;
 use score::baselines::Search;
 use study::demo::{DemoConfig, DemoSummary, Venue, run as run_demo};
 
@@ -42,6 +43,9 @@ pub struct Args {
     /// Number of rounds of collect, fit and train
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds)]
     rounds: usize,
+    /// Prescriptions that the recordings and half of the training are drawn from: bedside, paper, or a TOML file
+    #[arg(long, value_name = "NAME|FILE", default_value = "bedside")]
+    prescriptions: String,
     /// Train on breathing patients too: efforts pull on the simulated pressure in two of five breaths
     #[arg(long)]
     breathing: bool,
@@ -73,6 +77,7 @@ impl Command for Args {
         if self.breathing {
             pipeline.train = TrainConfig::breathing();
         }
+        pipeline.prescribe(&Prescriptions::find(&self.prescriptions)?);
         let config = DemoConfig {
             bench: self.bench.one()?,
             search: Search::default(),

@@ -26,6 +26,7 @@ use learn::pipeline::{
     run_on_plant, train_on_simulators,
 };
 use learn::simulator::model::Simulator;
+use plant::prescriptions::Prescriptions;
 use show::report::{Cell, Table};
 use ventilator::SharedLink;
 
@@ -119,6 +120,10 @@ pub struct Args {
     /// PIPs of the waveforms in every batch, in addition to random PIPs, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
+    /// Prescriptions that the recordings and half of the training are drawn from: bedside, a TOML file, or paper for the PIPs and settings
+    /// alone [default: bedside; with --pips, --settings or --preset: paper]
+    #[arg(long, value_name = "NAME|FILE", conflicts_with_all = ["pips", "settings", "preset"])]
+    prescriptions: Option<String>,
     /// Train on breathing patients too: efforts pull on the simulated pressure in two of five breaths
     #[arg(long)]
     breathing: bool,
@@ -319,7 +324,14 @@ impl Args {
         };
         config.train.adam.rate = self.learning_rate;
         config.train.adam.weight_decay = self.weight_decay;
+        config.prescribe(&Prescriptions::find(self.prescriptions())?);
         Ok(config)
+    }
+
+    /// Name of the prescriptions: those of the bedside, unless other waveforms are asked for.
+    fn prescriptions(&self) -> &str {
+        let listed = self.preset.is_some() || self.pips != PAPER_PIPS || self.settings.any();
+        self.prescriptions.as_deref().unwrap_or(if listed { "paper" } else { "bedside" })
     }
 
     /// The architecture of the controller.

@@ -23,7 +23,7 @@ use super::memory::RECALLED;
 use crate::math;
 
 /// Units of the first hidden layer.
-pub const HIDDEN_1: usize = 48;
+pub const HIDDEN_1: usize = 32;
 /// Units of the second hidden layer.
 pub const HIDDEN_2: usize = 16;
 /// Largest accepted magnitude of a weight or bias.

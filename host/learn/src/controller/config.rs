@@ -27,6 +27,9 @@ pub struct TrainConfig {
     pub inspiratory_time: f32,
     /// Factor on errors above the target.
     pub overshoot_weight: f32,
+    /// Prescriptions to draw in every second shard and in half of the validation, in place of these waveforms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub prescriptions: Option<Prescriptions>,
     /// Standard deviation of the starting pressure, cmH2O.
     pub start_spread: f32,
     /// Standard deviation of the sensor noise, cmH2O; `None` uses the estimate from the simulators' recordings, which
@@ -61,6 +64,7 @@ impl Default for TrainConfig {
             rest: 5.0,
             inspiratory_time: 1.0,
             overshoot_weight: 1.0,
+            prescriptions: None,
             start_spread: 0.05,
             sensor_noise: None,
             efforts: None,

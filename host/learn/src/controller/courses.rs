@@ -13,7 +13,7 @@ use super::loss::settled;
 use super::memory::LaneMemory;
 use super::rollout::ClosedLoopTape;
 use super::scenario::{Prescribed, Scenario, Strain};
-use crate::simulator::BreathStart;
+use crate::simulator::{BreathStart, COMMAND_SCALE};
 use engine::{LANES, Lane};
 
 /// Score below which the errors of a course weigh no more, cmH2O.
@@ -43,6 +43,8 @@ pub(super) struct Courses {
     breath: [u32; LANES],
     /// Pressure at the end of the last inspiration, cmH2O; PEEP before the first.
     plateau: Lane,
+    /// Command at the end of the last inspiration, percent.
+    plateau_command: Lane,
     /// Lowest score on this lung, cmH2O.
     best: Lane,
     memory: LaneMemory,
@@ -65,6 +67,7 @@ impl Courses {
             strain: Strain::NONE,
             breath: [0; LANES],
             plateau: Lane::ZERO,
+            plateau_command: Lane::ZERO,
             best: Lane::ZERO,
             memory: LaneMemory::new(period_us),
         };
@@ -129,6 +132,7 @@ impl Courses {
             pressure: peep.map(|peep| peep + config.start_spread * normal()),
             peep,
             plateau: self.plateau,
+            plateau_command: self.plateau_command.map(|command| command / COMMAND_SCALE),
             phases: Some([of(|s| s.inspiratory_time), of(|s| 60.0 / s.rate - s.inspiratory_time)]),
             ventilator: self.machine,
             group: self.lung,
@@ -175,7 +179,7 @@ impl Courses {
     pub fn end(&mut self, tape: &ClosedLoopTape) {
         let ticks = self.ticks();
         self.memory.adopt(tape.signals(), ticks, |l| self.strain.is_on(l));
-        self.plateau = tape.plateau(ticks);
+        (self.plateau, self.plateau_command) = tape.plateau(ticks);
         for breath in &mut self.breath {
             *breath += 1;
         }

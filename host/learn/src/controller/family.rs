@@ -22,6 +22,9 @@ use engine::{LANES, Lane};
 
 /// Shards and breaths of a validation.
 const VALIDATION: (usize, u32) = (12, 6);
+/// Norm of a shard's gradient, in medians of all shards, from which it counts no more: that of a loop close to instability would
+/// outweigh all others.
+const MOST_OF_MEDIAN: f32 = 3.0;
 /// Number of the random stream for validation; training uses the numbers of its steps.
 const VALIDATION_STREAM: u64 = 1 << 62;
 
@@ -149,9 +152,12 @@ impl Stepwise for FamilyTraining {
         let parts: Vec<(f64, Vec<f32>)> =
             shards.map(|shard| tapes.lend(make, |tape| of_shard(shard, tape))).collect();
         let mut gradient = vec![0.0; size];
-        for (_, part) in &parts {
+        let norms: Vec<f32> = parts.iter().map(|(_, part)| norm(part)).collect();
+        let most = MOST_OF_MEDIAN * median(&norms);
+        for ((_, part), norm) in parts.iter().zip(norms) {
+            let share = (most / norm).min(1.0) / (parts.len() * LANES) as f32;
             for (sum, part) in gradient.iter_mut().zip(part) {
-                *sum += part / (parts.len() * LANES) as f32;
+                *sum += share * part;
             }
         }
         let progress = state.iteration as f32 / config.iterations as f32;
@@ -184,6 +190,16 @@ fn stream(config: &FamilyConfig, iteration: usize, shard: usize) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     rng.set_stream(((iteration as u64 + 1) << 16) + shard as u64);
     rng
+}
+
+fn norm(gradient: &[f32]) -> f32 {
+    gradient.iter().map(|g| g * g).sum::<f32>().sqrt()
+}
+
+fn median(values: &[f32]) -> f32 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f32::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Mean logarithm of the lanes' scores.

@@ -57,9 +57,10 @@ impl<C: Trainable> ClosedLoopTape<C> {
         &self.signals
     }
 
-    /// Pressure at the end of an inspiration of this many ticks, cmH2O.
-    pub(super) fn plateau(&self, ticks: usize) -> Lane {
-        self.pressure[..ticks].last().copied().unwrap_or_default()
+    /// Pressure, cmH2O, and command, percent, at the end of an inspiration of this many ticks.
+    pub(super) fn plateau(&self, ticks: usize) -> (Lane, Lane) {
+        let last = |lanes: &[Lane]| lanes[..ticks].last().copied().unwrap_or_default();
+        (last(&self.pressure), last(&self.signals.command))
     }
 }
 

@@ -2,12 +2,13 @@
 //! the inspiration.
 
 use engine::{LANES, Lane};
+use plant::prescriptions::Prescriptions;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 use rand_distr::StandardNormal;
 use shared::breath::rising;
 use shared::control::features::TAP_MAX;
+use shared::settings::Settings;
 
 use super::config::TrainConfig;
 use super::loss::settled;
@@ -121,27 +122,32 @@ impl Scenario {
         }
     }
 
-    /// Draws a shard's inspirations, with starting pressures around `start`, and sensor noise with the standard
-    /// deviation `noise`, cmH2O.
-    pub(super) fn draw(config: &TrainConfig, ticks: usize, start: f32, noise: f32, stream: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-        rng.set_stream(stream);
-        let pip = Lane::from_fn(|l| match config.pips.get(l) {
-            Some(pip) => *pip,
-            None => rng.random_range(config.pip_range.0..config.pip_range.1),
-        });
+    /// Draws a shard's inspirations of these waveforms, with starting pressures around those of `waveforms`, and sensor noise with the
+    /// standard deviation `noise`, cmH2O.
+    pub(super) fn draw(
+        config: &TrainConfig,
+        waveforms: &Waveforms,
+        noise: f32,
+        rng: &mut ChaCha8Rng,
+    ) -> Self {
+        let Waveforms { settings, start, period_s } = waveforms;
+        let of = |value: fn(&Settings) -> f32| Lane::from_fn(|l| value(&settings[l]));
+        let (pip, peep) = (of(|s| s.pip), of(|s| s.peep));
+        let ticks = waveforms.ticks();
+        let rise_ticks = settings.map(|s| ((s.rise_time / period_s).round() as u32).min(ticks as u32));
         let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
         let mut scenario = Self {
             ticks,
-            prescribed: Prescribed::square(ticks, pip, config.peep),
-            settled: [settled(ticks, 0, 0); LANES],
+            prescribed: Prescribed::new(ticks, pip, peep, rise_ticks),
+            settled: rise_ticks.map(|rise| settled(ticks, rise, 0)),
             strain: Strain::NONE,
             start: BreathStart {
-                pressure: Lane::from_fn(|_| start + normal(config.start_spread)),
+                pressure: start.map(|start| start + normal(config.start_spread)),
+                peep,
                 plateau: pip,
                 ..BreathStart::default()
             },
-            rest: Lane::splat(config.rest),
+            rest: of(|s| s.expiratory_bias),
             memory: None,
             effort_price: 0.0,
             noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(noise))).collect(),
@@ -151,9 +157,53 @@ impl Scenario {
         };
         // Last, so that efforts change no other draw.
         if let Some(efforts) = &config.efforts {
-            scenario.pull = efforts.draw(ticks, config.inspiratory_time / ticks as f32, &mut rng);
+            scenario.pull = efforts.draw(ticks, *period_s, rng);
         }
         scenario
+    }
+}
+
+/// What the inspirations of a shard are drawn with.
+#[derive(Clone, Debug)]
+pub(super) struct Waveforms {
+    /// Settings of every lane; they share the inspiratory time.
+    pub settings: [Settings; LANES],
+    /// Pressure before the inspirations, cmH2O.
+    pub start: Lane,
+    /// Control period, s.
+    pub period_s: f32,
+}
+
+impl Waveforms {
+    /// The usual waveforms of a training, which start at this pressure, cmH2O: the listed PIPs first, then random ones.
+    pub fn usual(config: &TrainConfig, start: f32, period_s: f32, rng: &mut ChaCha8Rng) -> Self {
+        let settings = std::array::from_fn(|l| Settings {
+            pip: match config.pips.get(l) {
+                Some(pip) => *pip,
+                None => rng.random_range(config.pip_range.0..config.pip_range.1),
+            },
+            peep: config.peep,
+            expiratory_bias: config.rest,
+            inspiratory_time: config.inspiratory_time,
+            ..Settings::default()
+        });
+        Self { settings, start: Lane::splat(start), period_s }
+    }
+
+    /// Drawn prescriptions with the inspiratory time of the first one.
+    pub fn drawn(prescriptions: &Prescriptions, period_s: f32, rng: &mut ChaCha8Rng) -> Self {
+        let (seed, first) = (rng.random(), rng.random_range(0..u32::MAX / 2));
+        let inspiratory_time = prescriptions.draw(seed, first).inspiratory_time;
+        let settings = std::array::from_fn(|l| Settings {
+            inspiratory_time,
+            ..prescriptions.draw(seed, first + l as u32)
+        });
+        Self { settings, start: Lane::from_fn(|l| settings[l].peep), period_s }
+    }
+
+    /// Ticks of an inspiration.
+    pub fn ticks(&self) -> usize {
+        (self.settings[0].inspiratory_time / self.period_s).round() as usize
     }
 }
 
@@ -161,12 +211,17 @@ impl Scenario {
 mod tests {
     use super::*;
     use crate::controller::EffortConfig;
+    use rand_chacha::rand_core::SeedableRng;
 
     #[test]
     fn efforts_change_no_other_draw() {
         let passive = TrainConfig::default();
         let breathing = TrainConfig { efforts: Some(EffortConfig::default()), ..passive.clone() };
-        let drawn = |config: &TrainConfig| Scenario::draw(config, 1000, 5.0, 0.1, 7);
+        let drawn = |config: &TrainConfig| {
+            let rng = &mut ChaCha8Rng::seed_from_u64(7);
+            let waveforms = Waveforms::usual(config, 5.0, 1e-3, rng);
+            Scenario::draw(config, &waveforms, 0.1, rng)
+        };
         let (passive, breathing) = (drawn(&passive), drawn(&breathing));
         assert!(passive.pull.is_empty() && breathing.pull.len() == 1000);
         let bits = |lane: &Lane| lane.0.map(f32::to_bits);

@@ -1,20 +1,22 @@
 //! Training a controller of any architecture: gradient steps, validation, checkpoints.
 //!
-//! One step draws a batch of inspirations (the paper's six waveforms and random PIPs, new sensor noise), runs them in
+//! One step draws a batch of inspirations (the paper's six waveforms and random PIPs, prescriptions, new sensor noise), runs them in
 //! closed loop on the simulators, and follows the gradient of the L1 error. At intervals the controller is validated on
 //! a simulator, PIPs and noise not used in training; the best one is kept. A controller that is worse there than its
 //! PID is never kept.
 
+use plant::prescriptions::Prescriptions;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
+use shared::settings::Settings;
 
 use super::architecture::Trainable;
 use super::config::TrainConfig;
 use super::rollout::{ClosedLoopTape, LaneController};
-use super::scenario::{Prescribed, Scenario};
+use super::scenario::{Scenario, Waveforms};
 use super::tapes::Tapes;
 use crate::simulator::model::{Model, Simulator};
 use engine::adam::Adam;
@@ -43,8 +45,18 @@ impl Member {
         Self { model: simulator.model(), noise, start: simulator.start_pressure }
     }
 
-    fn draw(&self, config: &TrainConfig, ticks: usize, stream: u64) -> Scenario {
-        Scenario::draw(config, ticks, self.start, self.noise, stream)
+    /// A shard's inspirations with the usual waveforms or, if the training has any, with drawn prescriptions.
+    fn draw(&self, config: &TrainConfig, usual: bool, period_s: f32, rng: &mut ChaCha8Rng) -> Scenario {
+        let waveforms = match &config.prescriptions {
+            Some(prescriptions) if !usual => Waveforms::drawn(prescriptions, period_s, rng),
+            _ => Waveforms::usual(config, self.start_in(config), period_s, rng),
+        };
+        Scenario::draw(config, &waveforms, self.noise, rng)
+    }
+
+    /// Pressure before an inspiration with the usual waveform, cmH2O: that of the recordings, if they had the same PEEP.
+    fn start_in(&self, config: &TrainConfig) -> f32 {
+        if config.prescriptions.is_some() { config.peep } else { self.start }
     }
 }
 
@@ -186,6 +198,14 @@ pub trait Stepwise {
 
 /// Number of the random stream for validation; training uses the numbers of its steps.
 const VALIDATION_STREAM: u64 = u64::MAX;
+/// Shards of drawn prescriptions in a validation.
+const DRAWN_SHARDS: usize = 6;
+
+fn stream(config: &TrainConfig, number: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    rng.set_stream(number);
+    rng
+}
 
 impl Training {
     /// Prepares the training of our residual of `spec`; see [`Self::of`].
@@ -224,8 +244,9 @@ impl<C: Trainable> Training<C> {
         let base = C::build(spec, &vec![0.0; C::size()])?;
         let mut parameters = warm.map_or(fresh, <[f32]>::to_vec);
         C::blind_to(&config.blind_to, &mut parameters);
-        let ticks =
-            shared::math::ticks(config.inspiratory_time, base.fixed_parts().spec().period_us) as usize;
+        let longest = config.prescriptions.as_ref().map_or(0.0, Prescriptions::longest_inspiration);
+        let longest = config.inspiratory_time.max(longest);
+        let ticks = shared::math::ticks(longest, base.fixed_parts().spec().period_us) as usize;
         let plants: Vec<Ensemble> = plants.iter().map(|plant| Ensemble::new(plant, &config)).collect();
         // All plants have the same number of shards.
         let shards = config.batch.div_ceil(LANES).max(1).next_multiple_of(plants.len());
@@ -259,7 +280,7 @@ impl<C: Trainable> Training<C> {
         let controller = LaneController::new(&self.base, &self.state.parameters);
         let (config, plants, factors, ticks, iteration) =
             (&self.config, &self.plants, &self.state.factors, self.ticks, self.state.iteration);
-        let shards_each = self.shards / plants.len();
+        let (shards_each, period_s) = (self.shards / plants.len(), self.period_s());
         (0..self.shards)
             .into_par_iter()
             .map(|shard| {
@@ -268,8 +289,9 @@ impl<C: Trainable> Training<C> {
                 // If there are fewer shards than members, the members take turns.
                 let turn = if shards_each < members.len() { turn + iteration } else { turn };
                 let member = &members[turn % members.len()];
-                let stream = (iteration as u64).wrapping_mul(1 << 16) + shard as u64;
-                let mut scenario = member.draw(config, ticks, stream);
+                let mut rng = stream(config, (iteration as u64).wrapping_mul(1 << 16) + shard as u64);
+                let usual = (shard / plants.len()).is_multiple_of(2);
+                let mut scenario = member.draw(config, usual, period_s, &mut rng);
                 scenario.weight = Lane::splat(factors[plant]);
                 let make = || ClosedLoopTape::new(&member.model, ticks);
                 self.tapes.lend(make, |tape| work(&controller, &member.model, &scenario, tape))
@@ -280,23 +302,37 @@ impl<C: Trainable> Training<C> {
     /// Score of every plant on its held-out simulator, mean over the waveforms, cmH2O.
     fn validate(&self, parameters: &[f32]) -> Vec<f64> {
         let controller = LaneController::new(&self.base, parameters);
-        let pips = &self.config.pips;
+        let (pips, period_s) = (&self.config.pips, self.period_s());
         let of_plant = |plant: &Ensemble| {
-            let mut scenario = plant.held_out.draw(&self.config, self.ticks, VALIDATION_STREAM);
-            let pip = Lane::from_fn(|l| pips[l % pips.len()]);
-            scenario.prescribed = Prescribed::square(self.ticks, pip, self.config.peep);
-            scenario.start.plateau = pip;
-            let model = &plant.held_out.model;
+            let (mut rng, model) = (stream(&self.config, VALIDATION_STREAM), &plant.held_out.model);
             let mut tape = ClosedLoopTape::new(model, self.ticks);
+            let usual =
+                Waveforms::usual(&self.config, plant.held_out.start_in(&self.config), period_s, &mut rng);
+            let of_lane = |l: usize| Settings { pip: pips[l % pips.len()], ..usual.settings[l] };
+            let usual = Waveforms { settings: std::array::from_fn(of_lane), ..usual };
+            let mut scenario = Scenario::draw(&self.config, &usual, plant.held_out.noise, &mut rng);
             let score = controller.forward(model, &scenario, &mut tape).score;
             let of_pip = |pip: usize| {
                 let own: Vec<f64> =
                     (0..LANES).filter(|l| l % pips.len() == pip).map(|l| f64::from(score[l])).collect();
                 mean(&own)
             };
-            mean(&(0..pips.len()).map(of_pip).collect::<Vec<_>>())
+            let usual = mean(&(0..pips.len()).map(of_pip).collect::<Vec<_>>());
+            if self.config.prescriptions.is_none() {
+                return usual;
+            }
+            let mut drawn = || {
+                scenario = plant.held_out.draw(&self.config, false, period_s, &mut rng);
+                controller.forward(model, &scenario, &mut tape).mean_score()
+            };
+            mean(&[usual, mean(&[(); DRAWN_SHARDS].map(|()| drawn()))])
         };
         self.plants.par_iter().map(of_plant).collect()
+    }
+
+    /// Control period, s.
+    fn period_s(&self) -> f32 {
+        shared::breath::period_s(self.base.fixed_parts().spec().period_us)
     }
 
     /// The present parameters.

@@ -37,8 +37,8 @@ use ventilator::{BenchSource, seeds};
 /// Recording units of a family and fitting their simulators: units.
 pub const UNITS: Stage = Stage("record and fit units");
 
-/// Breaths of a unit's recording that vary in more than their PIP.
-const DRAWN_BREATHS: usize = 48;
+/// Ticks of an inspiration that are fitted: on a longer plateau nothing happens that a unit's numbers would follow from.
+const FITTED_TICKS: usize = 1000;
 
 /// Configuration of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,10 +108,6 @@ impl FamilyRun {
         run.gains = family.soft_pid.unwrap_or(run.gains);
         (run.collect.settings, run.collect.pip_range) = (family.settings, run.train.usual.pip_range());
         run.collect.pips.clone_from(&family.pips);
-        if !prescriptions.are_listed() {
-            run.collect.prescriptions = Some(prescriptions.clone());
-            run.collect.breaths = DRAWN_BREATHS;
-        }
         run
     }
 
@@ -200,6 +196,7 @@ impl FamilyRun {
         let recording = collect(&mut source, &pid, &config, &Progress::silent())?.recording;
         let mut breaths = episodes(&recording, &self.shape(1).timing);
         for breath in &mut breaths {
+            breath.cut(FITTED_TICKS);
             (breath.ventilator, breath.group) = (Some(0), Some(lung));
         }
         Ok(breaths)

@@ -44,6 +44,7 @@ use data::recording::{DatasetError, Recording};
 use data::tensors::TensorError;
 use data::workspace::{Workspace, WorkspaceError};
 use plant::bench::BenchConfig;
+use plant::prescriptions::Prescriptions;
 use progress::Progress;
 use ventilator::collect::{CollectConfig, CollectError};
 use ventilator::{BenchSource, PlantSource, SharedLink, Source, SourceError};
@@ -151,6 +152,13 @@ impl PipelineConfig {
             ..Exploration::default()
         });
         config
+    }
+
+    /// Records and trains with prescriptions too, if they are drawn.
+    pub fn prescribe(&mut self, prescriptions: &Prescriptions) {
+        let drawn = (!prescriptions.are_listed()).then(|| prescriptions.clone());
+        self.collect.prescriptions.clone_from(&drawn);
+        self.train.prescriptions = drawn;
     }
 
     /// The residual's fixed parts.

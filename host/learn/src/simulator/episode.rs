@@ -50,9 +50,17 @@ impl Episode {
     pub fn ticks(&self) -> usize {
         self.pressure.len()
     }
+
+    /// Leaves out what comes after this many ticks.
+    pub fn cut(&mut self, ticks: usize) {
+        let kept = ticks.min(self.ticks());
+        self.pressure.truncate(kept);
+        self.truth.iter_mut().for_each(|truth| truth.truncate(kept));
+        self.rows.end = self.rows.end.min(self.rows.start + kept);
+    }
 }
 
-/// The complete inspirations of a recording, in its order.
+/// The complete inspirations of a recording, in its order, without those just after a change of PEEP.
 pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
     cut(recording, timing, |inspiration| inspiration)
 }
@@ -87,11 +95,12 @@ fn cut(
         } else {
             rows.start..rows.start + 1
         };
+        let changed_peep = same_run && recording.peep[rows.start - 1] != recording.peep[rows.start];
         let plateau = last_plateau.filter(|_| same_run).unwrap_or(recording.peep[rows.start]);
         let rest = if same_run { rows.start - 1 } else { rows.start };
         let extent = extent(rows.clone());
         let last_rows: Option<Range<usize>> = last_rows.replace(rows.clone()).filter(|_| same_run);
-        episodes.push(Episode {
+        let episode = Episode {
             pressure: recording.pressure[extent.clone()].to_vec(),
             truth: recording.pressure_true.as_ref().map(|truth| truth[extent.clone()].to_vec()),
             commands: commands(recording, &extent, timing),
@@ -108,7 +117,9 @@ fn cut(
             ventilator: group.and_then(|group| ventilators.get(group as usize).copied()),
             rows: rows.clone(),
             lung: recording.lung(rows.start),
-        });
+        };
+        // Until its second breath with a PEEP, a lung contains the gas of another one, which no simulator knows.
+        episodes.extend((!changed_peep).then_some(episode));
         let end = rows.end - average.min(rows.len())..rows.end;
         last_plateau = Some(mean(&recording.pressure[end.clone()]));
         last_command = Some(mean(&recording.u_in[end]) / COMMAND_SCALE);
@@ -266,6 +277,24 @@ mod tests {
         assert!((second.start - (20.0 * 25.0 + 5.0 * 10.0) / 35.0).abs() < 1e-4, "mean of what there is");
         assert!((second.plateau - 20.0).abs() < 1e-6);
         assert!((second.rest[0] * COMMAND_SCALE - 5.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_breath_after_a_change_of_peep_is_left_out() {
+        let mut recording = recording();
+        recording.peep[35..].fill(8.0);
+        let found = episodes(&recording, &Timing::for_period(1000, 1));
+        assert_eq!(found.iter().map(|episode| episode.rows.clone()).collect::<Vec<_>>(), [0..25]);
+    }
+
+    #[test]
+    fn a_breath_knows_the_phases_of_the_one_before() {
+        let mut recording = recording();
+        recording.phase[20..25].fill(2);
+        let phases = |n: usize| {
+            episodes(&recording, &Timing::for_period(1000, 1))[n].phases.map(|s| (1e3 * s).round())
+        };
+        assert_eq!((phases(0), phases(1)), ([20.0, 15.0], [20.0, 15.0]));
     }
 
     #[test]

@@ -223,6 +223,23 @@ impl Prescriptions {
         self.drawn.is_empty()
     }
 
+    /// The same pressures in breaths that are otherwise like these.
+    #[must_use]
+    pub fn in_breaths(&self, settings: &Settings) -> Self {
+        let Settings { pip, peep, pressure_limit, .. } = self.settings;
+        let pressure =
+            |name: &str| ["pip", "peep", "pressure_limit", DRIVING_PRESSURE, LIMIT_ABOVE].contains(&name);
+        let drawn = self.drawn.iter().filter(|(name, _)| pressure(name)).cloned().collect();
+        Self { settings: Settings { pip, peep, pressure_limit, ..*settings }, drawn, ..self.clone() }
+    }
+
+    /// Longest inspiratory time, s.
+    pub fn longest_inspiration(&self) -> f32 {
+        let drawn = self.drawn.iter().find(|(name, _)| name == "inspiratory_time");
+        let end = drawn.and_then(|(_, range)| range.ends());
+        end.map_or(self.settings.inspiratory_time, |(_, longest)| longest as f32)
+    }
+
     /// Range of the listed PIPs, and a little beyond them where that can be run, cmH2O.
     pub fn pip_range(&self) -> (f32, f32) {
         let ends = self.pips.iter().fold((f32::INFINITY, 0.0_f32), |(l, h), pip| (l.min(*pip), h.max(*pip)));

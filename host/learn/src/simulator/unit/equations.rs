@@ -10,9 +10,10 @@ use super::{PER_UNIT, UnitConfig, VALVE, lung, valve};
 use crate::simulator::trajectory::Equations;
 
 /// What is given for a breath: the logarithms of a unit's numbers; pressure, PEEP and the last plateau,
-/// cmH2O; inspiratory and expiratory time of the breath before, s; the command at rest, percent.
+/// cmH2O; inspiratory and expiratory time of the breath before, s; the command at rest and that at the end of
+/// the last inspiration, percent.
 pub(super) const GIVEN: usize = PER_UNIT + KNOWN;
-const KNOWN: usize = 6;
+const KNOWN: usize = 7;
 /// Numbers of a breath: those of [`valve::numbers`], full flow, supply, those of [`lung::numbers`].
 pub(super) const NUMBERS: usize = valve::NUMBERS + 2 + lung::NUMBERS;
 /// Pieces of the state: actuator, stem, expiratory opening, airway, alveolar and sensed pressure.
@@ -56,20 +57,24 @@ impl UnitEquations {
         lung::left_in_lung(phases, [r, c, outward])
     }
 
-    /// The state in which a breath starts: the valve at rest, the expiratory valve open, and this share left
-    /// in the lung. The valve was closed before, so the stem was last pushed open and follows without play.
-    pub fn start<Q: Number>(left: Q, [pressure, peep, plateau, rest]: [Q; 4]) -> [Q; STATE] {
+    /// The state in which a breath starts: the valve at rest, with the stem where this play has left it after
+    /// the last inspiration, the expiratory valve open, and this share left in the lung.
+    pub fn start<Q: Number>(
+        [left, play]: [Q; 2],
+        [pressure, peep, plateau, rest, before]: [Q; 5],
+    ) -> [Q; STATE] {
         let alveolar = peep + (plateau - peep) * left;
-        [rest, rest, pressure.constant(1.0), pressure, alveolar, pressure]
+        let stem = valve::held(before, rest, play);
+        [rest, stem, pressure.constant(1.0), pressure, alveolar, pressure]
     }
 }
 
 impl Equations<GIVEN, NUMBERS, STATE, INPUTS> for UnitEquations {
     fn begin<Q: Number>(&self, given: [Q; GIVEN]) -> ([Q; NUMBERS], [Q; STATE]) {
-        let [logarithms @ .., pressure, peep, plateau, inspiration, expiration, rest] = given;
+        let [logarithms @ .., pressure, peep, plateau, inspiration, expiration, rest, before] = given;
         let unit = logarithms.map(Q::exp);
         let left = Self::left(&unit, [inspiration, expiration]);
-        (self.numbers(unit), Self::start(left, [pressure, peep, plateau, rest]))
+        (self.numbers(unit), Self::start([left, unit[valve::PLAY]], [pressure, peep, plateau, rest, before]))
     }
 
     #[inline(always)]

@@ -1,7 +1,7 @@
 //! The physical simulator of a unit as a graph: its equations, with the unit's numbers as constants.
 
 use super::equations::{SENSED, STATE, UnitEquations};
-use super::valve::DEAD_TIME;
+use super::valve::{DEAD_TIME, PLAY};
 use super::{PER_UNIT, UnitConfig};
 use crate::graph::state::State;
 use crate::graph::symbol::{Symbol, Symbols};
@@ -30,16 +30,18 @@ pub(super) fn unit(
     let mut pieces = vec![("commands", history)];
     pieces.extend(PIECES.map(|piece| (piece, 1)));
     let mut state = State::input(graph, &pieces);
-    let [rest, _] = block.rest(graph);
+    let [rest, before] = block.rest(graph);
     let seen = commands_seen(graph, &mut state, block, (&config.timing, history), &rest);
     let percent = graph.scale(&seen, COMMAND_SCALE);
     let [newer, older] = [history - 2, history - 1].map(|age| graph.columns(&percent, &[age]));
-    let rest = graph.scale(&rest, COMMAND_SCALE);
+    let [rest, before] = [rest, before].map(|scaled| graph.scale(&scaled, COMMAND_SCALE));
 
     let symbols = Symbols::new(graph);
-    let known = [block.pressure(), block.peep(), block.plateau(), &rest].map(|value| symbols.of(value));
+    let known =
+        [block.pressure(), block.peep(), block.plateau(), &rest, &before].map(|value| symbols.of(value));
     let left = UnitEquations::left(&unit, config.phases().map(Lane::splat))[0];
-    let first = UnitEquations::start(symbols.constant(left), known).map(Symbol::value);
+    let unknown = [left, unit[PLAY][0]].map(|number| symbols.constant(number));
+    let first = UnitEquations::start(unknown, known).map(Symbol::value);
     for (piece, value) in PIECES.iter().zip(&first) {
         state.set_where(graph, &block.begins, piece, value);
     }

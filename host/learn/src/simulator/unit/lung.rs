@@ -20,6 +20,7 @@ pub(super) const COMPLIANCE: usize = 2;
 pub(super) const LEAK: usize = 3;
 pub(super) const CIRCUIT: usize = 4;
 pub(super) const ORIFICE: usize = 6;
+pub(super) const SENSOR: usize = 7;
 pub(super) const OUTWARD: usize = 8;
 /// Number of [`numbers`], and of pieces of state.
 pub(super) const NUMBERS: usize = 8;

@@ -15,6 +15,7 @@ use super::{MS_PER_S, left_after};
 
 pub(super) const DEAD_TIME: usize = 0;
 pub(super) const LAG: usize = 1;
+pub(super) const PLAY: usize = 2;
 pub(super) const ZONE: usize = 3;
 pub(super) const EXPONENT: usize = 4;
 pub(super) const FULL_FLOW: usize = 5;
@@ -53,9 +54,14 @@ pub(super) fn tick<Q: Number>(
 ) -> ([Q; STATE], Q) {
     let delayed = newer + part * (older - newer);
     let actuator = actuator + share * (delayed - actuator);
-    let hangs = actuator + play.min(actuator);
-    let stem = stem.min(hangs).max(actuator);
+    let stem = held(stem, actuator, play);
     ([actuator, stem], opening(stem, zone, exponent))
+}
+
+/// A stem behind an actuator, percent.
+#[inline]
+pub(super) fn held<Q: Number>(stem: Q, actuator: Q, play: Q) -> Q {
+    stem.min(actuator + play.min(actuator)).max(actuator)
 }
 
 /// Share of the full flow at a position of the stem, percent.
