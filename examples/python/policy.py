@@ -53,11 +53,11 @@ class Network:
         pass  # the network sees that the time is 0
 
     def command(self, *seen):
-        return self.step(*seen, -1.0)
+        return self.step(*seen, -1.0, 0.0)  # the link does not tell the rise of the target: it counts as square
 
     def learn(self, lesson, applied):
-        if self.shapes[0][1] == 7:  # it learns from breath to breath
-            self.step(0.0, 0.0, 0.0, 0.0, applied, 0.0, float(lesson))
+        if self.shapes[0][1] > 6:  # it learns from breath to breath
+            self.step(0.0, 0.0, 0.0, 0.0, applied, 0.0, float(lesson), 0.0)
 
     def step(self, *seen):
         row = self.numpy.array([seen[: self.shapes[0][1]]], self.numpy.float32)

@@ -161,6 +161,7 @@ class Controller:
         *,
         pip: float | None = None,
         peep: float | None = None,
+        rise_time: float = 0.0,
         applied: float | None = None,
     ) -> float:
         """Run one tick of an inspiration.
@@ -170,6 +171,7 @@ class Controller:
             target: Target, cmH2O.
             pip: PIP, cmH2O; default: the target.
             peep: PEEP, cmH2O; default: that of the settings.
+            rise_time: Time of the target's rise from PEEP to PIP, s.
             applied: Command that the valve had in the last tick, percent; default: the one that was returned there.
 
         Returns:
@@ -183,6 +185,7 @@ class Controller:
         *,
         pip: float | None = None,
         peep: float | None = None,
+        rise_time: float = 0.0,
     ) -> NDArray[np.float32]:
         """Run a tick for each pressure and target, shape (n,); returns the commands, shape (n,), percent."""
 
@@ -354,8 +357,10 @@ class Observer:
     def start_breath(self, command: float) -> None:
         """Start a breath; the last command was `command` percent."""
 
-    def see(self, pressure: float, target: float, pip: float, peep: float, tick: int) -> NDArray[np.float32]:
-        """Return the observation of a tick of an inspiration, shape (length,); pressures in cmH2O."""
+    def see(
+        self, pressure: float, target: float, pip: float, peep: float, tick: int, rise_ticks: int = 0
+    ) -> NDArray[np.float32]:
+        """Return the observation of a tick of an inspiration whose target rises within `rise_ticks`, shape (length,); pressures in cmH2O."""
 
     def applied(self, command: float) -> None:
         """Record the command applied in the tick, percent."""

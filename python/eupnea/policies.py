@@ -43,8 +43,10 @@ HELLO, GREETING, RESET, START, READY, OBSERVE, COMMAND, LEARN = range(1, 9)
 
 #: Half, and the full command in percent: as float32, so that an action gives the bits of the environment's command.
 HALF, FULL = np.float32(0.5), np.float32(100)
-#: Columns of a network's first input: the six numbers of a policy, or these and the lesson.
-SEEN, SEEN_AND_LESSON = 6, 7
+#: Columns of a network's first input: the six numbers of a policy, these and the lesson, or these and the time of the target's rise.
+SEEN, SEEN_AND_LESSON, SEEN_LESSON_AND_RISE = 6, 7, 8
+#: Time of the target's rise, s, which a policy does not see: it counts as square.
+SQUARE = 0.0
 #: Lesson of a row that is a tick.
 NO_LESSON = -1.0
 
@@ -180,9 +182,9 @@ class _Network:
     def __init__(self, session: Any) -> None:
         inputs = session.get_inputs()
         shapes = [[size if isinstance(size, int) else 1 for size in given.shape] for given in inputs]
-        if not shapes or shapes[0] not in ([1, SEEN], [1, SEEN_AND_LESSON]):
+        if not shapes or shapes[0] not in ([1, SEEN], [1, SEEN_AND_LESSON], [1, SEEN_LESSON_AND_RISE]):
             found = f"has shape {inputs[0].shape}" if inputs else "is missing"
-            raise ValueError(f"the first input {found}: it must be (1, 6), or (1, 7) for a network that learns from breath to breath")
+            raise ValueError(f"the first input {found}: it must be (1, 6), or (1, 7) or (1, 8) for a network that learns from breath to breath")
         if len(session.get_outputs()) < len(inputs):
             raise ValueError(
                 f"{len(inputs)} inputs but {len(session.get_outputs())} outputs: output n must be the next value of input n, after the"
@@ -214,12 +216,12 @@ class _Network:
 
     def learn(self, lesson: int, applied: float) -> None:
         """Run the network with the lesson, if it has an input for it."""
-        if self._columns == SEEN_AND_LESSON:
-            self._step([0.0, 0.0, 0.0, 0.0, applied, 0.0, float(lesson)])
+        if self._columns > SEEN:
+            self._step([0.0, 0.0, 0.0, 0.0, applied, 0.0, float(lesson), SQUARE])
 
     def __call__(self, seen: NDArray[np.float32]) -> float:
         """Return the command for the six numbers of a policy."""
-        command = self._step([*seen, NO_LESSON])
+        command = self._step([*seen, NO_LESSON, SQUARE])
         # A command that is not finite stays, so that the ventilator refuses it.
         return min(max(command, 0.0), 100.0) if math.isfinite(command) else command
 

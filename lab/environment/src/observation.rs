@@ -20,8 +20,8 @@ const LONGEST: usize = FEATURES;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ObservationKind {
-    /// The 24 features of our residual controller: errors and commands of the last 64 ms, their leaky averages, an integral, the time
-    /// since the breath started, PIP and PEEP, each scaled to about one.
+    /// The 28 features of our residual controller: errors and commands of the last 64 ms, their leaky averages, an integral, the time
+    /// since the breath started, PIP, PEEP and where the target goes, each scaled to about one.
     #[default]
     Ours,
     /// The ten inputs of the paper authors' network: running averages of the last ten errors, 10 ms apart, in units of 10 cmH2O.

@@ -57,7 +57,7 @@ fn breathe<C: ControlLaw>(
     steps: &mut Vec<ControllerStep>,
 ) -> f32 {
     let (pip, peep) = if breath + 1 == BREATHS { (30.0, 8.0) } else { (20.0, 5.0) };
-    let gain = if breath >= CHANGED { 0.6 } else { 0.9 };
+    let gain = if breath >= CHANGED { 0.4 } else { 0.9 };
     let rise_ticks = TICKS / 10;
     let (mut pressure, mut applied) = (peep, REST);
     law.start_breath(state, applied);

@@ -223,16 +223,6 @@ impl Prescriptions {
         self.drawn.is_empty()
     }
 
-    /// The same pressures in breaths that are otherwise like these.
-    #[must_use]
-    pub fn in_breaths(&self, settings: &Settings) -> Self {
-        let Settings { pip, peep, pressure_limit, .. } = self.settings;
-        let pressure =
-            |name: &str| ["pip", "peep", "pressure_limit", DRIVING_PRESSURE, LIMIT_ABOVE].contains(&name);
-        let drawn = self.drawn.iter().filter(|(name, _)| pressure(name)).cloned().collect();
-        Self { settings: Settings { pip, peep, pressure_limit, ..*settings }, drawn, ..self.clone() }
-    }
-
     /// Longest inspiratory time, s.
     pub fn longest_inspiration(&self) -> f32 {
         let drawn = self.drawn.iter().find(|(name, _)| name == "inspiratory_time");
