@@ -15,8 +15,8 @@ use shared::weights::decode;
 
 use crate::exact_lung::ExactLung;
 
-/// Weights of `cargo trainer demo --seed 1`.
-pub const LEARNED: &[u8] = include_bytes!("../golden/learned.bin");
+/// The shipped weights for adults.
+pub const LEARNED: &[u8] = include_bytes!("../../host/learn/controllers/adult.bin");
 /// Number of breaths of a trace.
 pub const BREATHS: u32 = 100;
 /// Breaths between two entries of a trace.

@@ -142,6 +142,7 @@ mod tests {
             rest: vec![0.1; 2],
             start: 5.0,
             plateau: 5.0,
+            phases: [1.0, 2.0],
             plateau_command: 0.1,
             pip,
             peep: 5.0,

@@ -41,7 +41,8 @@ fn a_pid_without_a_correction_has_the_scores_of_the_robustness_test() {
     for number in 0..4 {
         environment.reset().unwrap();
         run(&mut environment, 0.0);
-        let plant = PlantRun::new(&Family::find("adult").unwrap(), 1, number, 3);
+        let family = Family::find("adult").unwrap();
+        let plant = PlantRun::new(&family, &family.listed(), 1, number, 3);
         let scores: Vec<f64> = environment.episode().scores.iter().map(|score| score.score).collect();
         assert_eq!(scores, breaths(&plant, &pid).unwrap().every, "plant {number}");
     }

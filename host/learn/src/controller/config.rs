@@ -161,7 +161,7 @@ pub struct FamilyConfig {
 impl Default for FamilyConfig {
     fn default() -> Self {
         Self {
-            iterations: 12_000,
+            iterations: 20_000,
             batch: 256,
             prescriptions: Prescriptions::default(),
             usual: Prescriptions::default(),
