@@ -441,15 +441,30 @@ mod tests {
     #[test]
     fn the_default_is_the_pipelines_with_the_known_good_gains() {
         let config = config(&[]).unwrap();
-        assert_eq!(config, PipelineConfig::default());
+        let mut expected = PipelineConfig::default();
+        expected.prescribe(&Prescriptions::find("bedside").unwrap());
+        assert_eq!(config, expected);
         assert_eq!(gains("3,30,0"), Ok(config.gains));
         assert_eq!((config.gains, config.fit.epochs, config.train.iterations), (KNOWN_GOOD, 2500, 600));
     }
 
     #[test]
+    fn listed_waveforms_are_asked_for_by_name_or_by_their_pips_and_settings() {
+        let drawn = |arguments: &[&str]| {
+            let config = config(arguments).unwrap();
+            (config.collect.prescriptions.is_some(), config.train.prescriptions.is_some())
+        };
+        for listed in [["--prescriptions", "paper"], ["--pips", "20"], ["--settings", "peep=7"]] {
+            assert_eq!(drawn(&listed), (false, false), "{listed:?}");
+        }
+        assert_eq!((drawn(&[]), drawn(&["--breathing"])), ((true, true), (true, true)));
+        assert!(config(&["--prescriptions", "bedside", "--pips", "20"]).is_err());
+    }
+
+    #[test]
     fn breathing_patients_train_longer_unless_the_steps_are_typed() {
         let train = |arguments: &[&str]| config(arguments).unwrap().train;
-        assert_eq!(train(&["--breathing"]), TrainConfig::breathing());
+        assert_eq!(train(&["--breathing", "--prescriptions", "paper"]), TrainConfig::breathing());
         assert_eq!((train(&["--breathing"]).iterations, train(&[]).efforts), (1200, None));
         let typed = train(&["--breathing", "--iterations", "9", "--settings", "peep=7"]);
         assert_eq!((typed.iterations, typed.peep.to_bits()), (9, 7.0_f32.to_bits()));

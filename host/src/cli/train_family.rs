@@ -51,8 +51,8 @@ pub struct Args {
     /// Largest amplitude of a ripple late in the inspiration, in the pressure or in its reading, cmH2O: it trains for stability margins
     #[arg(long, value_name = "CMH2O", value_parser = not_negative, default_value_t = FamilyRun::default().train.ripple)]
     ripple: f32,
-    /// Share of the breaths in which the loop gets half or twice its gain, or 10 ms more dead time, once the pressure should have settled: it
-    /// trains for stability margins
+    /// Share of the breaths in which the loop gets half or four times its gain, or 10 ms more dead time, once the pressure should have
+    /// settled: it trains for stability margins
     #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = FamilyRun::default().train.strain_share)]
     strain: f32,
     #[command(flatten)]

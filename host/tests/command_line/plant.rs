@@ -98,7 +98,8 @@ fn a_plant_that_dies_leaves_what_was_recorded() {
     assert!(said.contains("gone (exit status: 0)"), "{said}");
     let recording = Recording::load(place.path("a.parquet")).unwrap();
     assert_eq!((recording.len(), recording.inspirations().len()), (1251, 13));
-    let line = format!("train --plant {plant} --gains 2,30 --rounds 1 --breaths 40 --out run");
+    let line =
+        format!("train --plant {plant} --gains 2,30 --rounds 1 --breaths 40 --prescriptions paper --out run");
     let said = refused(&place, &line);
     assert!(said.contains("recording-0.partial.parquet"), "{said}");
     let recording = Recording::load(place.path("run/round-0/recording-0.partial.parquet")).unwrap();

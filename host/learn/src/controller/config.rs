@@ -141,8 +141,8 @@ pub struct FamilyConfig {
     pub lung_change_probability: f32,
     /// Factors on the errors of the first breaths of a course, of which little is remembered; later breaths have the factor 1.
     pub early_weights: [f32; 2],
-    /// Share of the breaths in which the loop is strained once the pressure should have settled: half or twice the gain, or more dead
-    /// time, by turns. So it learns to keep margins.
+    /// Share of the breaths in which the loop is strained once the pressure should have settled: less or more gain, or more dead time, by
+    /// turns. So it learns to keep margins.
     pub strain_share: f32,
     /// Additional dead time of a strained loop, s.
     pub strain_delay: f32,
@@ -175,7 +175,7 @@ impl Default for FamilyConfig {
             restart_probability: 0.12,
             lung_change_probability: 0.03,
             early_weights: [3.0, 2.0],
-            strain_share: 0.3,
+            strain_share: 0.4,
             strain_delay: 0.01,
             overshoot_weight: 1.0,
             effort_price: 0.02,

@@ -51,16 +51,8 @@ pub(super) fn slope(scenario: &Scenario, pressure: &Lane, tick: usize) -> Lane {
     })
 }
 
-/// Share of the inspiration after which the pressure should have settled.
-const SETTLED: f32 = 0.4;
 /// Change of the command in a tick below which its price is smoothed, percent.
 const EFFORT_ROUNDING: f32 = 0.2;
-
-/// Tick from which the pressure should have settled in an inspiration of this many ticks, `after` ticks after the rise at the
-/// earliest; its end if that comes first.
-pub(super) fn settled(ticks: usize, rise_ticks: u32, after: usize) -> usize {
-    ((SETTLED * ticks as f32) as usize).max(rise_ticks as usize + after).min(ticks)
-}
 
 /// Gradient of the price of moving the valve with respect to the command of one tick.
 pub(super) fn effort_slope(scenario: &Scenario, commands: &[Lane], tick: usize) -> Lane {

@@ -11,9 +11,11 @@ use shared::control::features::TAP_MAX;
 use shared::settings::Settings;
 
 use super::config::TrainConfig;
-use super::loss::settled;
 use super::memory::Recall;
 use crate::simulator::BreathStart;
+
+/// Share of the inspiration after which the pressure should have settled.
+const SETTLED: f32 = 0.4;
 
 /// The waveforms of a shard's inspirations.
 #[derive(Clone, Debug)]
@@ -161,6 +163,12 @@ impl Scenario {
         }
         scenario
     }
+}
+
+/// Tick from which the pressure should have settled in an inspiration of this many ticks, `after` ticks after the rise at the
+/// earliest; its end if that comes first.
+pub(super) fn settled(ticks: usize, rise_ticks: u32, after: usize) -> usize {
+    ((SETTLED * ticks as f32) as usize).max(rise_ticks as usize + after).min(ticks)
 }
 
 /// What the inspirations of a shard are drawn with.

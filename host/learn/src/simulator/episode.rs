@@ -12,6 +12,9 @@ use engine::least_squares::solve;
 /// inspiration over which its plateau is averaged, s.
 const AVERAGE_TIME: f32 = 0.05;
 
+/// Change of PEEP that matters, cmH2O; a measured one varies a little from breath to breath.
+const PEEP_CHANGE_CMH2O: f32 = 1.0;
+
 /// One inspiration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Episode {
@@ -95,7 +98,8 @@ fn cut(
         } else {
             rows.start..rows.start + 1
         };
-        let changed_peep = same_run && recording.peep[rows.start - 1] != recording.peep[rows.start];
+        let changed_peep = same_run
+            && (recording.peep[rows.start - 1] - recording.peep[rows.start]).abs() > PEEP_CHANGE_CMH2O;
         let plateau = last_plateau.filter(|_| same_run).unwrap_or(recording.peep[rows.start]);
         let rest = if same_run { rows.start - 1 } else { rows.start };
         let extent = extent(rows.clone());
