@@ -12,9 +12,6 @@ use engine::least_squares::solve;
 /// inspiration over which its plateau is averaged, s.
 const AVERAGE_TIME: f32 = 0.05;
 
-/// Change of PEEP that matters, cmH2O; a measured one varies a little from breath to breath.
-const PEEP_CHANGE_CMH2O: f32 = 1.0;
-
 /// One inspiration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Episode {
@@ -63,7 +60,7 @@ impl Episode {
     }
 }
 
-/// The complete inspirations of a recording, in its order, without those just after a change of PEEP.
+/// The complete inspirations of a recording, in its order.
 pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
     cut(recording, timing, |inspiration| inspiration)
 }
@@ -98,13 +95,11 @@ fn cut(
         } else {
             rows.start..rows.start + 1
         };
-        let changed_peep = same_run
-            && (recording.peep[rows.start - 1] - recording.peep[rows.start]).abs() > PEEP_CHANGE_CMH2O;
         let plateau = last_plateau.filter(|_| same_run).unwrap_or(recording.peep[rows.start]);
         let rest = if same_run { rows.start - 1 } else { rows.start };
         let extent = extent(rows.clone());
         let last_rows: Option<Range<usize>> = last_rows.replace(rows.clone()).filter(|_| same_run);
-        let episode = Episode {
+        episodes.push(Episode {
             pressure: recording.pressure[extent.clone()].to_vec(),
             truth: recording.pressure_true.as_ref().map(|truth| truth[extent.clone()].to_vec()),
             commands: commands(recording, &extent, timing),
@@ -121,9 +116,7 @@ fn cut(
             ventilator: group.and_then(|group| ventilators.get(group as usize).copied()),
             rows: rows.clone(),
             lung: recording.lung(rows.start),
-        };
-        // Until its second breath with a PEEP, a lung contains the gas of another one, which no simulator knows.
-        episodes.extend((!changed_peep).then_some(episode));
+        });
         let end = rows.end - average.min(rows.len())..rows.end;
         last_plateau = Some(mean(&recording.pressure[end.clone()]));
         last_command = Some(mean(&recording.u_in[end]) / COMMAND_SCALE);
@@ -281,14 +274,6 @@ mod tests {
         assert!((second.start - (20.0 * 25.0 + 5.0 * 10.0) / 35.0).abs() < 1e-4, "mean of what there is");
         assert!((second.plateau - 20.0).abs() < 1e-6);
         assert!((second.rest[0] * COMMAND_SCALE - 5.0).abs() < 1e-6);
-    }
-
-    #[test]
-    fn the_breath_after_a_change_of_peep_is_left_out() {
-        let mut recording = recording();
-        recording.peep[35..].fill(8.0);
-        let found = episodes(&recording, &Timing::for_period(1000, 1));
-        assert_eq!(found.iter().map(|episode| episode.rows.clone()).collect::<Vec<_>>(), [0..25]);
     }
 
     #[test]
