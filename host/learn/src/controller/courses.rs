@@ -296,7 +296,7 @@ mod tests {
         }
         let scenario = drawn.scenario(&config, &mut ChaCha8Rng::seed_from_u64(5));
         assert_eq!(scenario.ticks, (1000.0 * drawn.inspiratory_time).round() as usize);
-        assert_eq!(scenario.prescribed.peep.0, drawn.settings.map(|s| s.peep));
+        assert_eq!(scenario.prescribed.peep, Lane(drawn.settings.map(|s| s.peep)));
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! A controller's memory of earlier breaths as part of a graph: what [`shared::control::memory`] does, on columns.
 
 use shared::control::memory::{
-    BINS, COMMANDS_AHEAD, ERRORS_AHEAD, LEARNING, LEAST_BINS, Lesson, NEWEST, PIECES as MIDDLES, SECTIONS,
-    SURPRISE,
+    BINS, COMMANDS_AHEAD, ERRORS_AHEAD, LEARNING, LEAST_BINS, Lesson, NEWEST, PIECES as MIDDLES, Piece,
+    SECTIONS, SURPRISE,
 };
 
 use crate::graph::state::State;
@@ -176,11 +176,12 @@ pub(super) fn learn(graph: &mut Builder, state: &mut State, learns: &Value, less
 
 /// The bin before each time, in shortest bins since the middle of the first one, and the weight of the bin after it.
 fn place(graph: &mut Builder, time: &Value) -> (Value, Value) {
-    let numbers = |n: usize| [MIDDLES[n].from, MIDDLES[n].bin as f32, MIDDLES[n].rate];
-    let [mut from, mut bin, mut rate] = numbers(0).map(|number| graph.number(number));
-    for n in 1..MIDDLES.len() {
-        let past = graph.at_least(time, MIDDLES[n].from);
-        let own = numbers(n).map(|number| graph.number(number));
+    let [first, later @ ..] = MIDDLES;
+    let numbers = |piece: &Piece| [piece.from, piece.bin as f32, piece.rate];
+    let [mut from, mut bin, mut rate] = numbers(&first).map(|number| graph.number(number));
+    for piece in &later {
+        let past = graph.at_least(time, piece.from);
+        let own = numbers(piece).map(|number| graph.number(number));
         from = graph.choose(&past, &own[0], &from);
         bin = graph.choose(&past, &own[1], &bin);
         rate = graph.choose(&past, &own[2], &rate);

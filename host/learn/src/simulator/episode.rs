@@ -173,13 +173,13 @@ fn follows(recording: &Recording) -> bool {
 
 /// Inspiration and expiration of the breath before an inspiration; if that is not known, of its own breath; ticks.
 fn phases(recording: &Recording, rows: &Range<usize>, before: Option<Range<usize>>) -> [usize; 2] {
-    let (inspiration, next) = match before {
-        Some(before) => (before, rows.start),
-        None => {
+    let (inspiration, next) = before.map_or_else(
+        || {
             let own = &recording.breath[rows.start..];
             (rows.clone(), rows.start + own.iter().take_while(|breath| **breath == own[0]).count())
-        }
-    };
+        },
+        |before| (before, rows.start),
+    );
     [inspiration.len(), next - inspiration.end]
 }
 

@@ -37,12 +37,12 @@ impl UnitEquations {
     }
 
     /// Dead time of a unit in ticks.
-    pub fn dead_time<Q: Number>(&self, logarithm: Q) -> Q {
+    pub fn dead_time<Q: Number>(self, logarithm: Q) -> Q {
         valve::ticks(logarithm.exp(), self.tick)
     }
 
     /// The numbers of a breath.
-    pub fn numbers<Q: Number>(&self, unit: [Q; PER_UNIT]) -> [Q; NUMBERS] {
+    pub fn numbers<Q: Number>(self, unit: [Q; PER_UNIT]) -> [Q; NUMBERS] {
         let [valve @ .., full_flow, supply, r, turbulence, c, leak, circuit, closing, orifice, sensor, _] =
             unit;
         let lung = [r, turbulence, c, leak, circuit, closing, orifice, sensor];
