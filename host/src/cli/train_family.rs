@@ -14,7 +14,7 @@ use plant::bench::family::Family;
 #[command(after_help = "\
 Examples:
   trainer train-family --out out/adult                                       (the shipped adult)
-  trainer train-family --family neonate --ripple 0.4 --out out/neonate       (the shipped neonate)
+  trainer train-family --family neonate --ripple 0.4 --iterations 20000 --out out/neonate       (the shipped neonate)
   trainer train-family --family my-machines.toml --units 32 --iterations 3000 --out out/mine
   lab robust --controller out/adult/controller.safetensors
 
@@ -51,7 +51,7 @@ pub struct Args {
     /// Largest amplitude of a ripple late in the inspiration, in the pressure or in its reading, cmH2O: it trains for stability margins
     #[arg(long, value_name = "CMH2O", value_parser = not_negative, default_value_t = FamilyRun::default().train.ripple)]
     ripple: f32,
-    /// Share of the breaths in which the loop gets half or four times its gain, or 10 ms more dead time, once the pressure should have
+    /// Share of the breaths in which the loop gets half or twice its gain, or 10 ms more dead time, once the pressure should have
     /// settled: it trains for stability margins
     #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = FamilyRun::default().train.strain_share)]
     strain: f32,

@@ -161,13 +161,13 @@ pub struct FamilyConfig {
 impl Default for FamilyConfig {
     fn default() -> Self {
         Self {
-            iterations: 20_000,
+            iterations: 14_000,
             batch: 256,
             prescriptions: Prescriptions::default(),
             usual: Prescriptions::default(),
             usual_share: 0.3,
             noise: (0.05, 0.2),
-            ripple: 0.8,
+            ripple: 1.2,
             ripple_hz: (1.5, 12.0),
             pressure_ripple_share: 0.5,
             pressure_ripple_hz: (3.0, 20.0),
@@ -175,7 +175,7 @@ impl Default for FamilyConfig {
             restart_probability: 0.12,
             lung_change_probability: 0.03,
             early_weights: [3.0, 2.0],
-            strain_share: 0.4,
+            strain_share: 0.3,
             strain_delay: 0.01,
             overshoot_weight: 1.0,
             effort_price: 0.02,

@@ -17,9 +17,8 @@ use engine::{LANES, Lane};
 
 /// Score below which the errors of a course weigh no more, cmH2O.
 const LEAST_SCORE: f32 = 0.5;
-/// Smallest and largest gain of a strained loop. On a plateau the valve is nearly closed, where its curve is flat; with a leak or a flow
-/// the loop has about twice the gain, and must still bear twice that.
-const STRAIN_GAINS: (f32, f32) = (0.5, 4.0);
+/// Smallest and largest gain of a strained loop.
+const STRAIN_GAINS: (f32, f32) = (0.5, 2.0);
 /// Time after its rise from which a pressure should have settled, s.
 const AFTER_RISE_S: f32 = 0.2;
 
@@ -308,7 +307,7 @@ mod tests {
             courses.pass(&config, rng);
             for l in 0..LANES {
                 let kind = match (courses.strain.gain[l], courses.strain.delay[l]) {
-                    (gain, 0) if gain > 2.0 => 0,
+                    (gain, 0) if gain > 1.5 => 0,
                     (gain, 0) if gain < 0.8 => 1,
                     (_, 10) => 2,
                     (_, _) => 3,

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! trainer train-family --family adult --out out/adult
-//! trainer train-family --family neonate --ripple 0.4 --out out/neonate
+//! trainer train-family --family neonate --ripple 0.4 --iterations 20000 --out out/neonate
 //! trainer export out/adult/controller.safetensors --out host/learn/controllers/adult.bin
 //! trainer export out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
 //! ```
