@@ -2,7 +2,7 @@
 //!
 //! A [`Plan`] gives the waveforms, their number of breaths and the sensor noise. [`evaluate`] runs them with the same
 //! ventilator core as the chip and scores the *true* airway pressure, which only a bench knows. [`trace()`] records the
-//! curves of a few breaths; [`seeds`] keeps the noise of tuning, training and evaluation apart.
+//! curves of a few breaths; [`ventilator::seeds`] keeps the noise of tuning, training and evaluation apart.
 
 mod comparison;
 mod effort;
