@@ -30,7 +30,7 @@ const PLANT: &str = "EUPNEA_WEIGHTS_PLANT";
 /// Public key of the seed of 32 bytes 42, with which the tests in QEMU sign.
 const TEST_KEY: &str = "197f6b23e16c8532c6abc838facd5ea789be0c76b2920334039bfa8b3d368d61";
 /// Plant of the weights in these tests.
-const TEST_PLANT: &str = "R20C20";
+const TEST_PLANT: &str = "family adult";
 
 /// Images of the main board.
 pub struct Images {
