@@ -45,7 +45,9 @@ impl SettingsArgs {
     pub fn for_training(&self, pips: &[f32]) -> anyhow::Result<Settings> {
         let settings = self.checked(pips)?;
         if settings.rise_time > 0.0 {
-            bail!("training supports only the paper's square rise: leave rise_time at 0");
+            bail!(
+                "listed waveforms are trained with a square rise: leave rise_time at 0, or draw rises with --prescriptions"
+            );
         }
         Ok(settings)
     }

@@ -6,7 +6,6 @@ use score::evaluate::{InspirationRecord, Score};
 use shared::breath::Breath;
 use shared::control::Observation;
 use shared::safety::alarms::Fault;
-use shared::settings::Settings;
 use ventilator::{BenchSource, SourceError, Tick};
 
 use crate::action::Commanded;
@@ -234,10 +233,7 @@ impl Running {
     fn observe(&mut self, task: &Task, memory: &mut Memory, tick: u32) {
         let Some(breathing) = self.source.breathing() else { return };
         let pressure = breathing.reading().pressure;
-        let Settings { pip, peep, .. } = self.draw.settings;
-        let rise_ticks = self.breath.rise_ticks();
-        let target = self.breath.target(tick);
-        let seen = Observation { pressure, target, pip, peep, tick, rise_ticks };
+        let seen = Observation::at(&self.breath.at(tick), pressure);
         task.observer.see(memory, &seen);
     }
 

@@ -151,15 +151,8 @@ impl Stepwise for FamilyTraining {
         let shards = courses.par_iter_mut().enumerate();
         let parts: Vec<(f64, Vec<f32>)> =
             shards.map(|shard| tapes.lend(make, |tape| of_shard(shard, tape))).collect();
-        let mut gradient = vec![0.0; size];
-        let norms: Vec<f32> = parts.iter().map(|(_, part)| norm(part)).collect();
-        let most = MOST_OF_MEDIAN * median(&norms);
-        for ((_, part), norm) in parts.iter().zip(norms) {
-            let share = (most / norm).min(1.0) / (parts.len() * LANES) as f32;
-            for (sum, part) in gradient.iter_mut().zip(part) {
-                *sum += share * part;
-            }
-        }
+        let gradients: Vec<&[f32]> = parts.iter().map(|(_, gradient)| &gradient[..]).collect();
+        let gradient = together(&gradients);
         let progress = state.iteration as f32 / config.iterations as f32;
         state.adam.step(&mut state.parameters, &gradient, progress);
         state.iteration += 1;
@@ -190,6 +183,20 @@ fn stream(config: &FamilyConfig, iteration: usize, shard: usize) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     rng.set_stream(((iteration as u64 + 1) << 16) + shard as u64);
     rng
+}
+
+/// Mean gradient over the rollouts of shards, none of which outweighs the others.
+fn together(shards: &[&[f32]]) -> Vec<f32> {
+    let norms: Vec<f32> = shards.iter().map(|gradient| norm(gradient)).collect();
+    let most = MOST_OF_MEDIAN * median(&norms);
+    let mut mean = vec![0.0; shards.first().map_or(0, |gradient| gradient.len())];
+    for (gradient, norm) in shards.iter().zip(norms) {
+        let share = (most / norm).min(1.0) / (shards.len() * LANES) as f32;
+        for (sum, part) in mean.iter_mut().zip(*gradient) {
+            *sum += share * part;
+        }
+    }
+    mean
 }
 
 fn norm(gradient: &[f32]) -> f32 {
@@ -245,6 +252,15 @@ mod tests {
             first[shared::control::features::FEATURES..].iter().flatten().map(|w| w.abs()).sum::<f32>()
         };
         assert!(of_memory(trained.controller.network()) > 0.1);
+    }
+
+    #[test]
+    fn a_shard_close_to_instability_counts_as_three_usual_ones() {
+        let (usual, wild) = ([3.0, 4.0], [3e6, 4e6]);
+        let mean = together(&[&usual, &wild, &usual]);
+        for (mean, usual) in mean.iter().zip(usual) {
+            assert!((mean - 5.0 * usual / (3 * LANES) as f32).abs() < 1e-4, "{mean}");
+        }
     }
 
     #[test]

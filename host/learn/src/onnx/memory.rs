@@ -2,7 +2,7 @@
 
 use shared::control::memory::{
     BINS, COMMANDS_AHEAD, ERRORS_AHEAD, LEARNING, LEAST_BINS, Lesson, NEWEST, PIECES as MIDDLES, Piece,
-    SECTIONS, SURPRISE,
+    SECTIONS, SURPRISE, Section,
 };
 
 use crate::graph::state::State;
@@ -36,25 +36,19 @@ pub fn lesson_number(lesson: Lesson) -> f32 {
 
 /// Number of ticks of the running bin, and its inverse.
 fn running_bin(graph: &mut Builder, state: &State, bin_ticks: u32) -> [Value; 2] {
-    let (mut first, mut found) = (0, None);
-    for section in SECTIONS {
-        let ticks = (bin_ticks * section.width) as f32;
-        let own = [ticks, 1.0 / ticks].map(|value| graph.number(value));
-        found = Some(match found {
-            None => own,
-            Some(before) => {
-                let here = graph.at_least(&state.get("running bins"), first as f32);
-                let both: [(Value, Value); 2] = zip(own, before);
-                both.map(|(own, before)| graph.choose(&here, &own, &before))
-            }
-        });
-        first += section.bins;
+    let [first, later @ ..] = SECTIONS;
+    let ticks = |section: &Section| (bin_ticks * section.width) as f32;
+    let numbers = |section: &Section| [ticks(section), 1.0 / ticks(section)];
+    let [mut length, mut share] = numbers(&first).map(|number| graph.number(number));
+    let mut bins = first.bins;
+    for section in &later {
+        let here = graph.at_least(&state.get("running bins"), bins as f32);
+        let own = numbers(section).map(|number| graph.number(number));
+        length = graph.choose(&here, &own[0], &length);
+        share = graph.choose(&here, &own[1], &share);
+        bins += section.bins;
     }
-    found.expect("there are sections")
-}
-
-fn zip<T>([a, b]: [T; 2], [c, d]: [T; 2]) -> [(T, T); 2] {
-    [(a, c), (b, d)]
+    [length, share]
 }
 
 /// Records error and command of a tick, both scaled, in the rows in which `records` holds.

@@ -58,7 +58,7 @@ pub(super) fn tick<Q: Number>(
     ([actuator, stem], opening(stem, zone, exponent))
 }
 
-/// A stem behind an actuator, percent.
+/// A stem behind an actuator, percent: pushed by it, and drawn back only when the play is taken up.
 #[inline]
 pub(super) fn held<Q: Number>(stem: Q, actuator: Q, play: Q) -> Q {
     stem.min(actuator + play.min(actuator)).max(actuator)
@@ -70,4 +70,21 @@ pub(super) fn opening<Q: Number>(stem: Q, zone: Q, exponent: Q) -> Q {
     let travel = (stem - zone) / (zone.constant(FULL) - zone);
     let least = zone.constant(LEAST);
     travel.max(least).pow(exponent).where_greater(travel, least)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use engine::Lane;
+
+    #[test]
+    fn a_stem_stays_within_the_play_before_its_actuator() {
+        let at =
+            |stem: f32, actuator: f32| held(Lane::splat(stem), Lane::splat(actuator), Lane::splat(4.0))[0];
+        for (stem, actuator, wanted) in
+            [(30.0, 5.0, 9.0), (7.0, 5.0, 7.0), (3.0, 15.0, 15.0), (30.0, 1.0, 2.0), (30.0, 0.0, 0.0)]
+        {
+            assert!((at(stem, actuator) - wanted).abs() < 1e-6, "{stem} behind {actuator}");
+        }
+    }
 }
