@@ -43,7 +43,7 @@ pub struct Args {
     /// Number of rounds of collect, fit and train
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds)]
     rounds: usize,
-    /// Prescriptions that the recordings and half of the training are drawn from: bedside, paper, or a TOML file
+    /// Prescriptions that half of the recordings and of the training are drawn from: bedside, paper, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "bedside")]
     prescriptions: String,
     /// Train on breathing patients too: efforts pull on the simulated pressure in two of five breaths

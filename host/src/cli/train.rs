@@ -120,7 +120,7 @@ pub struct Args {
     /// PIPs of the waveforms in every batch, in addition to random PIPs, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
-    /// Prescriptions that the recordings and half of the training are drawn from: bedside, a TOML file, or paper for the PIPs and settings
+    /// Prescriptions that half of the recordings and of the training are drawn from: bedside, a TOML file, or paper for the PIPs and settings
     /// alone [default: bedside; with --pips, --settings or --preset: paper]
     #[arg(long, value_name = "NAME|FILE", conflicts_with_all = ["pips", "settings", "preset"])]
     prescriptions: Option<String>,

@@ -41,7 +41,7 @@ pub struct CollectConfig {
     pub pip_range: (f32, f32),
     /// Template of all settings except PIP.
     pub settings: Settings,
-    /// Prescriptions to draw in place of these PIPs and settings, each for [`IN_A_ROW`] breaths.
+    /// Prescriptions to draw by turns with these PIPs and settings, for [`IN_A_ROW`] breaths each.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub prescriptions: Option<Prescriptions>,
     /// Perturbations; `None` records the controller alone.
@@ -259,15 +259,16 @@ fn check(config: &CollectConfig) -> Result<(), CollectError> {
 
 /// Settings of every breath. A breath ended by the pressure limit is repeated.
 fn plan(config: &CollectConfig) -> Vec<Settings> {
-    if let Some(prescriptions) = &config.prescriptions {
-        let drawn = |breath: usize| prescriptions.draw(config.seed, (breath / IN_A_ROW) as u32);
-        let roomy = |drawn: Settings| Settings { pressure_limit: drawn.pressure_limit.max(LIMIT), ..drawn };
-        return (0..config.breaths).map(|breath| roomy(drawn(breath))).collect();
-    }
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-    (0..config.breaths)
-        .map(|breath| Settings { pip: pip(config, breath, &mut rng), ..config.settings })
-        .collect()
+    let mut listed = |breath: usize| Settings { pip: pip(config, breath, &mut rng), ..config.settings };
+    let settings = |breath: usize| match &config.prescriptions {
+        Some(prescriptions) if !(breath / IN_A_ROW).is_multiple_of(2) => {
+            let drawn = prescriptions.draw(config.seed, (breath / IN_A_ROW) as u32);
+            Settings { pressure_limit: drawn.pressure_limit.max(LIMIT), ..drawn }
+        }
+        _ => listed(breath),
+    };
+    (0..config.breaths).map(settings).collect()
 }
 
 /// Every second breath has a listed PIP, in turn; the others a random one.
@@ -349,6 +350,19 @@ mod tests {
         assert_eq!(collected.recording.inspirations().len(), 6);
         collected.recording.validate().unwrap();
         assert!(collected.recording.explore.iter().any(|x| x.abs() > 1.0));
+    }
+
+    #[test]
+    fn listed_and_drawn_prescriptions_take_turns() {
+        let prescriptions = Prescriptions::find("bedside").unwrap();
+        let config =
+            CollectConfig { breaths: 40, prescriptions: Some(prescriptions), ..CollectConfig::default() };
+        for (number, block) in plan(&config).chunks(IN_A_ROW).enumerate() {
+            let listed = block.iter().all(|breath| Settings { pip: 20.0, ..*breath } == config.settings);
+            assert_eq!(listed, number % 2 == 0, "block {number}");
+            assert!(listed || block.iter().all(|breath| breath == &block[0]));
+            assert!(block.iter().all(|breath| breath.validate().is_ok() && breath.pressure_limit >= LIMIT));
+        }
     }
 
     #[test]
