@@ -24,7 +24,7 @@ class Pi:
     def reset(self, period_s):
         self.period_s = period_s
 
-    def start(self):
+    def start(self, rise_s):
         self.integral = 0.0
 
     def command(self, pressure, target, pip, peep, applied, time_s):
@@ -49,11 +49,11 @@ class Network:
     def reset(self, period_s):
         self.state = [self.numpy.zeros(shape, self.numpy.float32) for shape in self.shapes[1:]]
 
-    def start(self):
-        pass  # the network sees that the time is 0
+    def start(self, rise_s):
+        self.rise_s = rise_s  # the network sees by the time that a breath begins
 
     def command(self, *seen):
-        return self.step(*seen, -1.0, 0.0)  # the link does not tell the rise of the target: it counts as square
+        return self.step(*seen, -1.0, self.rise_s)
 
     def learn(self, lesson, applied):
         if self.shapes[0][1] > 6:  # it learns from breath to breath
@@ -112,7 +112,7 @@ def serve(policy, reader, writer):
             period_s = struct.unpack_from("<I", payload)[0] * 1e-6
             policy.reset(period_s)
         elif kind == BREATH:
-            policy.start()
+            policy.start(struct.unpack_from("<I", payload, 16)[0] * period_s)
         elif kind == OBSERVE:
             *seen, tick = struct.unpack("<fffffI", payload)
             answer = (COMMAND, struct.pack("<f", limited(policy.command(*seen, tick * period_s))))

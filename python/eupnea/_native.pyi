@@ -357,10 +357,8 @@ class Observer:
     def start_breath(self, command: float) -> None:
         """Start a breath; the last command was `command` percent."""
 
-    def see(
-        self, pressure: float, target: float, pip: float, peep: float, tick: int, rise_ticks: int = 0
-    ) -> NDArray[np.float32]:
-        """Return the observation of a tick of an inspiration whose target rises within `rise_ticks`, shape (length,); pressures in cmH2O."""
+    def see(self, pressure: float, target: float, pip: float, peep: float, tick: int, rise_ticks: int = 0) -> NDArray[np.float32]:
+        """Return the observation of a tick, shape (length,); pressures in cmH2O, the target rises within `rise_ticks`."""
 
     def applied(self, command: float) -> None:
         """Record the command applied in the tick, percent."""

@@ -45,8 +45,6 @@ HELLO, GREETING, RESET, START, READY, OBSERVE, COMMAND, LEARN = range(1, 9)
 HALF, FULL = np.float32(0.5), np.float32(100)
 #: Columns of a network's first input: the six numbers of a policy, these and the lesson, or these and the time of the target's rise.
 SEEN, SEEN_AND_LESSON, SEEN_LESSON_AND_RISE = 6, 7, 8
-#: Time of the target's rise, s, which a policy does not see: it counts as square.
-SQUARE = 0.0
 #: Lesson of a row that is a tick.
 NO_LESSON = -1.0
 
@@ -92,6 +90,11 @@ class Agent:
         self.period_us = period_us
         self._period_s = period_us * 1e-6
         self._command = 0.0
+        self._rise_ticks = 0
+
+    def start(self, rise_time: float) -> None:
+        """Begin a breath whose target rises within `rise_time` seconds."""
+        self._rise_ticks = round(rise_time / self._period_s)
 
     def __call__(self, seen: NDArray[np.float32]) -> float:
         """Return the command in percent for the six numbers of a policy."""
@@ -101,7 +104,7 @@ class Agent:
             self._observer.start_breath(last)
         else:
             self._observer.applied(last)
-        observation = self._observer.see(pressure, target, pip, peep, tick)
+        observation = self._observer.see(pressure, target, pip, peep, tick, self._rise_ticks)
         if tick % self._hold == 0:
             action = np.asarray(self._act(observation), np.float32).reshape(-1)[:1]
             # An action that is not finite gives no command.
@@ -126,6 +129,7 @@ class Known:
         self._controller = controller
         self._as_action = as_action
         self._starts = True
+        self._rise_time = 0.0
 
     @property
     def period_us(self) -> int:
@@ -137,9 +141,10 @@ class Known:
         self._controller.reset()
         self._starts = True
 
-    def start(self) -> None:
-        """Begin a breath with the next command."""
+    def start(self, rise_time: float) -> None:
+        """Begin a breath, whose target rises within `rise_time` seconds, with the next command."""
         self._starts = True
+        self._rise_time = rise_time
 
     def learn(self, lesson: int, applied: float) -> None:
         """Learn from the inspiration that has ended, whose last command was `applied` percent."""
@@ -152,7 +157,9 @@ class Known:
         if begins:
             self._controller.start_breath(last)
             self._starts = False
-        command = self._controller.step(pressure, target, pip=pip, peep=peep, applied=None if begins else last)
+        command = self._controller.step(
+            pressure, target, pip=pip, peep=peep, rise_time=self._rise_time, applied=None if begins else last
+        )
         return command / 50.0 - 1.0 if self._as_action else command
 
 
@@ -184,7 +191,9 @@ class _Network:
         shapes = [[size if isinstance(size, int) else 1 for size in given.shape] for given in inputs]
         if not shapes or shapes[0] not in ([1, SEEN], [1, SEEN_AND_LESSON], [1, SEEN_LESSON_AND_RISE]):
             found = f"has shape {inputs[0].shape}" if inputs else "is missing"
-            raise ValueError(f"the first input {found}: it must be (1, 6), or (1, 7) or (1, 8) for a network that learns from breath to breath")
+            raise ValueError(
+                f"the first input {found}: it must be (1, 6), or (1, 7) or (1, 8) for a network that learns from breath to breath"
+            )
         if len(session.get_outputs()) < len(inputs):
             raise ValueError(
                 f"{len(inputs)} inputs but {len(session.get_outputs())} outputs: output n must be the next value of input n, after the"
@@ -213,15 +222,20 @@ class _Network:
     def reset(self) -> None:
         """Set the state to zero: another ventilation begins."""
         self._state = [np.zeros(shape, np.float32) for shape in self._shapes]
+        self._rise_time = 0.0
+
+    def start(self, rise_time: float) -> None:
+        """Begin a breath whose target rises within `rise_time` seconds."""
+        self._rise_time = rise_time
 
     def learn(self, lesson: int, applied: float) -> None:
         """Run the network with the lesson, if it has an input for it."""
         if self._columns > SEEN:
-            self._step([0.0, 0.0, 0.0, 0.0, applied, 0.0, float(lesson), SQUARE])
+            self._step([0.0, 0.0, 0.0, 0.0, applied, 0.0, float(lesson), 0.0])
 
     def __call__(self, seen: NDArray[np.float32]) -> float:
         """Return the command for the six numbers of a policy."""
-        command = self._step([*seen, NO_LESSON, SQUARE])
+        command = self._step([*seen, NO_LESSON, self._rise_time])
         # A command that is not finite stays, so that the ventilator refuses it.
         return min(max(command, 0.0), 100.0) if math.isfinite(command) else command
 
@@ -241,9 +255,10 @@ def onnx(path: str | os.PathLike[str]) -> Policy:
 
     The first input has the shape (1, 6): the six numbers of a policy. The first output has one element, the command in percent, which
     is then limited to 0 to 100. With an input of shape (1, 7), the network learns from breath to breath: the last number is -1 in a
-    tick; after each inspiration, it is the lesson, in a run of its own. Every further input is a part of the state, which is zero when
-    a ventilation begins: input `n` gets the value of output `n` of the run before. All are float32. A dimension without a size, such as
-    that of a batch, is 1. The metadata entry `period_us` is the network's control period in microseconds.
+    tick; after each inspiration, it is the lesson, in a run of its own. With (1, 8), the number after it is the time of the target's
+    rise in seconds. Every further input is a part of the state, which is zero when a ventilation begins: input `n` gets the value of
+    output `n` of the run before. All are float32. A dimension without a size, such as that of a batch, is 1. The metadata entry
+    `period_us` is the network's control period in microseconds.
 
     Args:
         path: The file.
@@ -336,7 +351,7 @@ def _answer(line: socket.socket, frames: Any, policy: Policy, period_us: int, fa
             if kind == RESET:
                 reset(policy)
             elif kind == START:
-                _tell(policy, "start")
+                _tell(policy, "start", words[4] * period_s)
             elif kind == LEARN:
                 _tell(policy, "learn", Lesson(words[0]), struct.unpack("<f", struct.pack("<I", words[1]))[0])
             elif kind == OBSERVE:

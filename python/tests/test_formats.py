@@ -143,7 +143,8 @@ def test_an_exported_controller_has_the_commands_of_the_controller(adult):
         last = 5.0
         for number, lesson in enumerate(lessons):
             commands = []
-            controller.start()
+            for policy in (graph, controller):
+                policy.start(0.05 * number)
             last = breath(both, eupnea.Bench("R20C20", seed=number), last)
             breaths.append(np.array(commands))
             for policy in (graph, controller):

@@ -149,8 +149,9 @@ class Heard:
     def reset(self):
         self.events.append("reset")
 
-    def start(self):
+    def start(self, rise_time):
         self.events.append("start")
+        self.rise_time = rise_time
 
     def learn(self, lesson, applied):
         self.events.append((lesson, applied))
@@ -175,6 +176,26 @@ def test_a_policy_hears_of_ventilations_breaths_and_lessons():
     applied = [event[1] for event in heard.events if not isinstance(event, str) and event[0] is Lesson.ADOPT]
     before = np.array(heard.last[999::1000]).reshape(-1, 3)[:, :2]
     np.testing.assert_allclose(applied, before.ravel(), atol=2)
+
+
+def test_a_policy_hears_of_the_rise_and_a_learned_controller_uses_it():
+    heard = Heard()
+    options = {"settings": {"rise_time": 0.2}, "pips": [20], "breaths": 1, "seed": 1}
+    eupnea.evaluate(policy=heard, **options)
+    assert heard.rise_time == pytest.approx(0.2)
+    adult = eupnea.Controller.load("adult")
+
+    class Deaf(Known):
+        def start(self, rise_time):
+            super().start(0.0)
+
+    def score(policy):
+        return eupnea.evaluate(policy=policy, gains=adult.gains, **options)["mean"]["learned"]["score"]
+
+    # The PID under a policy does not know where the policy's command reaches the end of the valve.
+    alone = eupnea.evaluate("adult", **options)["mean"]["learned"]["score"]
+    assert score(Known(adult)) == pytest.approx(alone, rel=1e-3)
+    assert score(Deaf(adult)) > 1.02 * alone
 
 
 def test_a_policy_hears_that_the_limit_ended_a_breath():

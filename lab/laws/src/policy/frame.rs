@@ -51,6 +51,8 @@ pub enum PolicyMessage {
         peep: f32,
         /// Command that the valve had before it, percent.
         applied: f32,
+        /// Length of the target's rise from PEEP to PIP, ticks.
+        rise_ticks: u32,
     },
     /// An inspiration has ended, or the settings change.
     Learn {
@@ -104,8 +106,8 @@ impl PolicyMessage {
             Self::Hello { version } => (1, [version, 0, 0, 0, 0, 0]),
             Self::Greeting { version, period_us } => (2, [version, period_us, 0, 0, 0, 0]),
             Self::Reset { period_us } => (3, [period_us, 0, 0, 0, 0, 0]),
-            Self::Start { breath, pip, peep, applied } => {
-                (4, [breath, pip.to_bits(), peep.to_bits(), applied.to_bits(), 0, 0])
+            Self::Start { breath, pip, peep, applied, rise_ticks } => {
+                (4, [breath, pip.to_bits(), peep.to_bits(), applied.to_bits(), rise_ticks, 0])
             }
             Self::Ready => (5, [0; WORDS]),
             Self::Observe { pressure, target, pip, peep, applied, tick } => {
@@ -128,8 +130,8 @@ impl PolicyMessage {
             (1, [version, 0, 0, 0, 0, 0]) => Self::Hello { version },
             (2, [version, period_us, 0, 0, 0, 0]) => Self::Greeting { version, period_us },
             (3, [period_us, 0, 0, 0, 0, 0]) => Self::Reset { period_us },
-            (4, [breath, _, _, _, 0, 0]) => {
-                Self::Start { breath, pip: real[1], peep: real[2], applied: real[3] }
+            (4, [breath, _, _, _, rise_ticks, 0]) => {
+                Self::Start { breath, pip: real[1], peep: real[2], applied: real[3], rise_ticks }
             }
             (5, [0, 0, 0, 0, 0, 0]) => Self::Ready,
             (6, [.., tick]) => {
@@ -195,8 +197,15 @@ mod tests {
             (any::<u32>(), any::<u32>())
                 .prop_map(|(version, period_us)| PolicyMessage::Greeting { version, period_us }),
             any::<u32>().prop_map(|period_us| PolicyMessage::Reset { period_us }),
-            (any::<u32>(), real(), real(), real())
-                .prop_map(|(breath, pip, peep, applied)| PolicyMessage::Start { breath, pip, peep, applied }),
+            (any::<u32>(), real(), real(), real(), any::<u32>()).prop_map(
+                |(breath, pip, peep, applied, rise_ticks)| PolicyMessage::Start {
+                    breath,
+                    pip,
+                    peep,
+                    applied,
+                    rise_ticks
+                }
+            ),
             Just(PolicyMessage::Ready),
             (real(), real(), real(), real(), real(), any::<u32>()).prop_map(
                 |(pressure, target, pip, peep, applied, tick)| PolicyMessage::Observe {

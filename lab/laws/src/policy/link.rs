@@ -152,8 +152,8 @@ impl PolicyLink {
 
     /// Begins a breath.
     pub(super) fn start(&mut self, place: Place, seen: &Observation, applied: f32) {
-        let Observation { pip, peep, .. } = *seen;
-        self.ask(place, PolicyMessage::Start { breath: place.breath, pip, peep, applied });
+        let Observation { pip, peep, rise_ticks, .. } = *seen;
+        self.ask(place, PolicyMessage::Start { breath: place.breath, pip, peep, applied, rise_ticks });
     }
 
     /// Tells the policy what to do with the breath that has ended.

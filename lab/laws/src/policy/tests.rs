@@ -242,13 +242,14 @@ fn a_policy_sees_reset_then_the_breaths_with_their_ticks_commands_and_lessons() 
     let (address, frames) = recording();
     let law = law(&address, LONG);
     let mut source = on(&lung(), law.clone(), &paper_settings(20.0));
-    for pip in [20.0, 25.0] {
-        source.breathe(&paper_settings(pip), &mut |_| ()).unwrap();
+    for (pip, rise_time) in [(20.0, 0.0), (25.0, 0.2)] {
+        source.breathe(&Settings { rise_time, ..paper_settings(pip) }, &mut |_| ()).unwrap();
     }
     let frames: Vec<PolicyMessage> = frames.try_iter().collect();
     assert_eq!(frames[0], PolicyMessage::Hello { version: VERSION });
     assert_eq!(frames[1], PolicyMessage::Reset { period_us: DEFAULT_PERIOD_US });
-    assert_eq!(frames[2], PolicyMessage::Start { breath: 0, pip: 20.0, peep: 5.0, applied: 0.0 });
+    let first = PolicyMessage::Start { breath: 0, pip: 20.0, peep: 5.0, applied: 0.0, rise_ticks: 0 };
+    assert_eq!(frames[2], first);
     for (tick, frame) in frames[3..1003].iter().enumerate() {
         let PolicyMessage::Observe { target, pip, peep, applied, tick: told, .. } = *frame else {
             panic!("{frame:?}")
@@ -267,7 +268,7 @@ fn a_policy_sees_reset_then_the_breaths_with_their_ticks_commands_and_lessons() 
     };
     // Adopted, then forgotten with the settings.
     assert_eq!(lessons(&frames[1003..1005]), [Lesson::Adopt, Lesson::Forget]);
-    assert!(matches!(frames[1005], PolicyMessage::Start { breath: 1, pip: 25.0, .. }));
+    assert!(matches!(frames[1005], PolicyMessage::Start { breath: 1, pip: 25.0, rise_ticks: 200, .. }));
     assert_eq!(frames.len(), 1005 + 1 + 1000 + 1);
 }
 
