@@ -32,7 +32,7 @@ def limit(value, low, high):
 
 
 class Controller:
-    SHAPE = (36, 32, 16, 1)
+    SHAPE = (33, 32, 16, 1)
 
     def __init__(self, spec, parameters):
         self.period = F(spec["period_us"]) * F(1e-6)
@@ -86,7 +86,6 @@ class Controller:
             (pip - F(20)) / F(15),
             (peep - F(5)) / F(5),
             *((rising(pip, peep, rise_ticks, self.tick + ahead) - now) / F(10) for ahead in self.target_ahead),
-            (pip - target) / F(10),
         ]
 
     def command(self, pressure, target, pip, peep, rise_ticks):
@@ -254,7 +253,7 @@ def main(recording_path, simulator_path, controller_path, image_path=None):
     if image_path:
         with open(image_path, "rb") as file:
             image = file.read()
-        golden = image[117:121], struct.unpack("<I", image[121:125])[0]
+        golden = image[115:119], struct.unpack("<I", image[119:123])[0]
         if exercised(controller) != golden:
             sys.exit("the exercise gives other bits than the weights image; pack the image from this controller")
         print("weights image: all commands of its exercise are the same, bit for bit")

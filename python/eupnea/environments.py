@@ -158,7 +158,7 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
         period_us: Control period in microseconds.
         hold: Control ticks for which an action is held; the remaining ones of an inspiration if these are fewer.
         breaths: Breaths of an episode.
-        observation: `"ours"` (28 features), `"authors"` (10 averages of past errors) or `"plain"` (pressure, target, PIP, PEEP, time,
+        observation: `"ours"` (25 features), `"authors"` (10 averages of past errors) or `"plain"` (pressure, target, PIP, PEEP, time,
             last command).
         action: `"valve"` or `"residual"`.
         gains: P, I and D of the PID under a residual; default: the one that the chip falls back to.

@@ -190,8 +190,8 @@ def test_a_batch_refuses_what_does_not_fit_and_moves_nothing():
 def test_gymnasium_makes_a_vector_of_its_own():
     batch = gymnasium.make_vec("eupnea/NineLungs-v0", num_envs=4, vectorization_mode="vector_entry_point")
     observations, _ = batch.reset(seed=2)
-    assert observations.shape == (4, 28)
-    assert batch.step(batch.action_space.sample())[0].shape == (4, 28)
+    assert observations.shape == (4, 25)
+    assert batch.step(batch.action_space.sample())[0].shape == (4, 25)
 
 
 def test_a_score_is_that_of_its_episodes():

@@ -20,7 +20,7 @@ const LONGEST: usize = FEATURES;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ObservationKind {
-    /// The 28 features of our residual controller: errors and commands of the last 64 ms, their leaky averages, an integral, the time
+    /// The 25 features of our residual controller: errors and commands of the last 64 ms, their leaky averages, an integral, the time
     /// since the breath started, PIP, PEEP and where the target goes, each scaled to about one.
     #[default]
     Ours,

@@ -3,16 +3,15 @@
 //!
 //! | index | feature |
 //! |---|---|
-//! | 0..8 | error, [`FeatureSpec::error_taps`] ticks ago |
-//! | 8..14 | command, [`FeatureSpec::command_taps`] ticks ago |
-//! | 14..16 | error, leaky averages |
-//! | 16..18 | command, leaky averages |
-//! | 18 | integral part of the PID |
-//! | 19..22 | time since the start of the breath: `t / (t + tau)` for three `tau` |
-//! | 22 | PIP |
-//! | 23 | PEEP |
-//! | 24..27 | rise of the target within [`FeatureSpec::target_ahead`] ticks |
-//! | 27 | PIP above the target |
+//! | 0..7 | error, [`FeatureSpec::error_taps`] ticks ago |
+//! | 7..13 | command, [`FeatureSpec::command_taps`] ticks ago |
+//! | 13..15 | error, leaky averages |
+//! | 15..17 | command, leaky averages |
+//! | 17 | integral part of the PID |
+//! | 18..21 | time since the start of the breath: `t / (t + tau)` for three `tau` |
+//! | 21 | PIP |
+//! | 22 | PEEP |
+//! | 23..25 | rise of the target within [`FeatureSpec::target_ahead`] ticks |
 //!
 //! A breath knows its own future: the last group lets the valve, which acts late, move in time with a slow rise.
 
@@ -26,7 +25,7 @@ use crate::breath::period_s;
 use crate::math;
 
 /// Number of error taps.
-pub const ERROR_TAPS: usize = 8;
+pub const ERROR_TAPS: usize = 7;
 /// Number of command taps.
 pub const COMMAND_TAPS: usize = 6;
 /// Number of leaky averages of each signal.
@@ -44,13 +43,13 @@ pub const INTEGRAL: usize = LEAKY.end;
 /// Indices of the time features.
 pub const CLOCK: Range<usize> = INTEGRAL + 1..INTEGRAL + 1 + TIMES;
 /// Number of times ahead at which the target is seen.
-pub const AHEAD: usize = 3;
+pub const AHEAD: usize = 2;
 /// Index of PIP; PEEP follows.
 pub const PIP: usize = CLOCK.end;
-/// Indices of the rise of the target; PIP above the target follows.
+/// Indices of the rise of the target.
 pub const RISE: Range<usize> = PIP + 2..PIP + 2 + AHEAD;
 /// Length of the feature vector.
-pub const FEATURES: usize = RISE.end + 1;
+pub const FEATURES: usize = RISE.end;
 /// Highest age of a tap, ticks.
 pub const TAP_MAX: u8 = (HISTORY - 1) as u8;
 
@@ -88,12 +87,12 @@ impl Default for FeatureSpec {
     /// For a control period of 1 ms: the taps cover the valve's dead time and lag.
     fn default() -> Self {
         Self {
-            error_taps: [0, 1, 2, 4, 8, 16, 32, 64],
+            error_taps: [0, 2, 4, 8, 16, 32, 64],
             command_taps: [1, 2, 4, 8, 16, 32],
             error_averages: [0.02, 0.1],
             command_averages: [0.05, 0.3],
             times: [0.02, 0.1, 0.5],
-            target_ahead: [10, 20, 40],
+            target_ahead: [10, 40],
         }
     }
 }
@@ -117,9 +116,9 @@ impl FeatureSpec {
             return spec;
         }
         Self {
-            error_taps: [0, 1, 2, 3, 4, 5, 6, 8],
+            error_taps: [0, 1, 2, 3, 4, 6, 8],
             command_taps: [1, 2, 3, 4, 5, 6],
-            target_ahead: [1, 2, 4],
+            target_ahead: [1, 4],
             ..spec
         }
     }
@@ -272,7 +271,6 @@ impl Features {
         put(&state.commands.averages);
         put(&self.clocked(seen, integral));
         put(&self.spec.target_ahead.map(|ticks| seen.rise_within(u32::from(ticks)) / ERROR_SCALE));
-        put(&[(seen.pip - seen.target) / ERROR_SCALE]);
         features
     }
 
@@ -317,7 +315,7 @@ mod tests {
         assert_eq!((PAST_ERRORS.start, PAST_ERRORS.end), (0, PAST_COMMANDS.start));
         assert_eq!((PAST_COMMANDS.end, LEAKY.end), (LEAKY.start, INTEGRAL));
         assert_eq!((CLOCK.start, CLOCK.len(), CLOCK.end), (INTEGRAL + 1, TIMES, PIP));
-        assert_eq!((RISE.start, RISE.len(), RISE.end), (PIP + 2, AHEAD, FEATURES - 1));
+        assert_eq!((RISE.start, RISE.len(), RISE.end), (PIP + 2, AHEAD, FEATURES));
     }
 
     fn seen(error: f32, tick: u32) -> Observation {
@@ -380,7 +378,7 @@ mod tests {
 
     #[test]
     fn a_spec_beyond_the_history_is_refused() {
-        let spec = FeatureSpec { error_taps: [0, 1, 2, 4, 8, 16, 32, 200], ..FeatureSpec::default() };
+        let spec = FeatureSpec { error_taps: [0, 2, 4, 8, 16, 32, 200], ..FeatureSpec::default() };
         assert_eq!(spec.validate(), Err(FeatureError::Tap(200)));
         let spec = FeatureSpec { command_taps: [0, 2, 4, 8, 16, 32], ..FeatureSpec::default() };
         assert_eq!(spec.validate(), Err(FeatureError::Tap(0)), "the current command is not known yet");
@@ -391,7 +389,7 @@ mod tests {
     #[test]
     fn taps_reach_to_the_end_of_the_history_and_time_constants_are_positive_numbers() {
         let with = |tap, tau| FeatureSpec {
-            error_taps: [0, 1, 2, 4, 8, 16, 32, tap],
+            error_taps: [0, 2, 4, 8, 16, 32, tap],
             command_averages: [0.05, tau],
             ..FeatureSpec::default()
         };
@@ -432,11 +430,11 @@ mod tests {
                 rise_ticks: 100,
             };
             let vector = features.step(&mut FeatureState::new(), &seen, 0.0);
-            [0, 1, 2, 3].map(|n| (100.0 * vector[RISE.start + n]).round() as i32)
+            [0, 1].map(|n| (100.0 * vector[RISE.start + n]).round() as i32)
         };
-        assert_eq!(at(0), [10, 20, 40, 100]);
-        assert_eq!(at(70), [10, 20, 30, 30]);
-        assert_eq!(at(100), [0, 0, 0, 0]);
+        assert_eq!(at(0), [10, 40]);
+        assert_eq!(at(70), [10, 30]);
+        assert_eq!(at(100), [0, 0]);
     }
 
     proptest! {

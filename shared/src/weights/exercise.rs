@@ -113,8 +113,8 @@ mod tests {
         assert_ne!(built(|spec, _| spec.gains.d += 0.001), base);
         assert_ne!(built(|spec, _| spec.lambda += 0.01), base);
         assert_ne!(built(|spec, _| spec.authority = 5.0), base);
-        assert_ne!(built(|spec, _| spec.features.error_taps[7] = 127), base);
-        assert_ne!(built(|spec, _| spec.features.target_ahead[2] = 41), base);
+        assert_ne!(built(|spec, _| spec.features.error_taps[6] = 127), base);
+        assert_ne!(built(|spec, _| spec.features.target_ahead[1] = 41), base);
         assert_ne!(built(|spec, _| spec.features.command_averages[1] = 0.31), base);
     }
 }

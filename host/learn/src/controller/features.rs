@@ -27,6 +27,8 @@ pub(super) struct LaneFeatures<'a> {
     rest: Lane,
     /// The waveforms.
     prescribed: &'a Prescribed,
+    /// Last tick that the clock shows.
+    held_tick: usize,
     /// Scaled PIP and PEEP.
     pressures: [Lane; 2],
 }
@@ -40,6 +42,7 @@ impl<'a> LaneFeatures<'a> {
             features,
             rest: scenario.rest.map(|rest| rest / COMMAND_SCALE),
             prescribed: &scenario.prescribed,
+            held_tick: scenario.held_tick,
             pressures: [scaled(pip, PIP_SCALE), scaled(peep, PEEP_SCALE)],
         }
     }
@@ -78,16 +81,17 @@ impl<'a> LaneFeatures<'a> {
         out[LEAKY.start..COMMAND_AVERAGES_AT].copy_from_slice(&averages.error);
         out[COMMAND_AVERAGES_AT..INTEGRAL].copy_from_slice(&averages.command);
         out[INTEGRAL] = integral.map(|i| i / COMMAND_SCALE);
-        for (feature, time) in out[CLOCK.start..].iter_mut().zip(self.features.times(tick as u32)) {
+        for (feature, time) in
+            out[CLOCK.start..].iter_mut().zip(self.features.times(tick.min(self.held_tick) as u32))
+        {
             *feature = Lane::splat(time);
         }
         [out[PIP], out[PIP + 1]] = self.pressures;
         let target = self.prescribed.target(tick);
-        let above = |pressure: &Lane| pressure.zip(target, |p, target| (p - target) / ERROR_SCALE);
         for (feature, ticks) in out[RISE].iter_mut().zip(spec.target_ahead) {
-            *feature = above(self.prescribed.target(tick + usize::from(ticks)));
+            let then = self.prescribed.target(tick + usize::from(ticks));
+            *feature = then.zip(target, |then, now| (then - now) / ERROR_SCALE);
         }
-        out[RISE.end] = above(&self.prescribed.pip);
     }
 
     /// Records the command applied in the tick, percent.

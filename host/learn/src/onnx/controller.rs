@@ -196,7 +196,7 @@ fn inputs(graph: &mut Builder, state: &mut State, seen: &Seen, controller: &Resi
         graph.div(&from_zero, &one)
     };
     let (pip, peep) = (scaled(&seen.pip, PIP_SCALE), scaled(&seen.peep, PEEP_SCALE));
-    let (rises, left) = future(graph, seen, spec);
+    let rises = rises(graph, seen, spec);
     let recalled = memory::recall(graph, state, &seen.tick, bin_ticks(period_us));
     graph.join(&[
         &errors,
@@ -208,13 +208,12 @@ fn inputs(graph: &mut Builder, state: &mut State, seen: &Seen, controller: &Resi
         &pip,
         &peep,
         &rises,
-        &left,
         &recalled,
     ])
 }
 
-/// Rise of the target ahead, and PIP above the target, scaled.
-fn future(graph: &mut Builder, seen: &Seen, spec: &FeatureSpec) -> (Value, Value) {
+/// Rise of the target ahead, scaled.
+fn rises(graph: &mut Builder, seen: &Seen, spec: &FeatureSpec) -> Value {
     let scale = graph.number(ERROR_SCALE);
     let ahead = graph.row(&spec.target_ahead.map(f32::from));
     let then = graph.add(&seen.tick, &ahead);
@@ -229,8 +228,7 @@ fn future(graph: &mut Builder, seen: &Seen, spec: &FeatureSpec) -> (Value, Value
     };
     let (then, now) = (target(&then), target(&seen.tick));
     let rise = graph.sub(&then, &now);
-    let left = graph.sub(&seen.pip, &seen.target);
-    (graph.div(&rise, &scale), graph.div(&left, &scale))
+    graph.div(&rise, &scale)
 }
 
 /// The output of the network.

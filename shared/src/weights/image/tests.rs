@@ -31,12 +31,12 @@ fn residual(seed: u64) -> Residual {
         *weight = 2.0 * unit() - 1.0;
     }
     let features = FeatureSpec {
-        error_taps: [(); 8].map(|()| (127.0 * unit()) as u8),
+        error_taps: [(); 7].map(|()| (127.0 * unit()) as u8),
         command_taps: [(); 6].map(|()| 1 + (126.0 * unit()) as u8),
         error_averages: [0.001 + unit(), 0.001 + unit()],
         command_averages: [0.001 + unit(), 0.001 + unit()],
         times: [0.001 + unit(), 0.001 + unit(), 0.001 + unit()],
-        target_ahead: [(); 3].map(|()| (127.0 * unit()) as u8),
+        target_ahead: [(); 2].map(|()| (127.0 * unit()) as u8),
     };
     let gains = PidGains { p: 5.0 * unit(), i: 50.0 * unit(), d: 0.1 * unit() };
     let spec = ResidualSpec {
@@ -64,22 +64,22 @@ fn the_fields_lie_where_the_table_says() {
     let residual = residual(1);
     let (bytes, spec) = (packed(&residual), residual.spec());
     let real = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()).to_bits();
-    assert_eq!(&bytes[..16], b"EUPN\x04\0\x03\0\x24\0\x20\0\x10\0\x01\0");
+    assert_eq!(&bytes[..16], b"EUPN\x04\0\x03\0\x21\0\x20\0\x10\0\x01\0");
     assert_eq!(bytes[16..20], spec.period_us.to_le_bytes());
     assert_eq!(real(28), spec.gains.d.to_bits());
     assert_eq!((real(32), real(36)), (spec.lambda.to_bits(), spec.authority.to_bits()));
     assert_eq!(
-        (&bytes[40..48], &bytes[48..54]),
+        (&bytes[40..47], &bytes[47..53]),
         (&spec.features.error_taps[..], &spec.features.command_taps[..])
     );
-    assert_eq!(real(54), spec.features.error_averages[0].to_bits());
-    assert_eq!(real(66), spec.features.command_averages[1].to_bits());
-    assert_eq!(real(78), spec.features.times[2].to_bits());
-    assert_eq!(bytes[82..85], spec.features.target_ahead);
-    assert_eq!((&bytes[85..101], &bytes[101..117]), (&IDENTITY.training[..], &IDENTITY.plant[..]));
-    assert_eq!(bytes[117..121], golden(&residual).last.to_le_bytes());
-    assert_eq!(bytes[121..125], golden(&residual).all.to_le_bytes());
-    assert_eq!(bytes[125..129], (PARAMETER_BYTES as u32).to_le_bytes());
+    assert_eq!(real(53), spec.features.error_averages[0].to_bits());
+    assert_eq!(real(65), spec.features.command_averages[1].to_bits());
+    assert_eq!(real(77), spec.features.times[2].to_bits());
+    assert_eq!(bytes[81..83], spec.features.target_ahead);
+    assert_eq!((&bytes[83..99], &bytes[99..115]), (&IDENTITY.training[..], &IDENTITY.plant[..]));
+    assert_eq!(bytes[115..119], golden(&residual).last.to_le_bytes());
+    assert_eq!(bytes[119..123], golden(&residual).all.to_le_bytes());
+    assert_eq!(bytes[123..127], (PARAMETER_BYTES as u32).to_le_bytes());
     assert_eq!(real(HEADER_BYTES), residual.network().hidden_1.weights[0][0].to_bits());
     assert_eq!(bytes[VERSION_AT..HEADER_BYTES], [0; 4]);
     assert_eq!(real(SIGNED_BYTES - 4), residual.network().output.bias[0].to_bits());
@@ -160,7 +160,7 @@ fn a_specification_out_of_bounds_is_refused_in_spite_of_its_checksum() {
     assert!(matches!(spec_error(32, 1.5), Err(WeightsError::Spec(ResidualError::OutOfBounds { .. }))));
     assert!(matches!(spec_error(36, f32::NAN), Err(WeightsError::Spec(ResidualError::OutOfBounds { .. }))));
     assert!(matches!(spec_error(70, 0.0), Err(WeightsError::Spec(ResidualError::Features(_)))));
-    let tap = decode(&forged(|b| b[48] = 0));
+    let tap = decode(&forged(|b| b[47] = 0));
     assert!(matches!(tap, Err(WeightsError::Spec(ResidualError::Features(_)))));
 }
 
