@@ -63,7 +63,7 @@ fn family(batch: usize) -> FamilyTraining {
     let model = Model::new(Architecture::Unit(units), &parameters);
     let models = FamilyModels { trained_on: model.clone(), held_out: model };
     let config = FamilyConfig { batch, iterations: usize::MAX, ..FamilyConfig::default() };
-    match FamilyTraining::new(spec(PidGains { p: 3.0, i: 25.0, d: 0.08 }), models, config, None) {
+    match FamilyTraining::new(spec(PidGains { p: 3.0, i: 8.0, d: 0.08 }), models, config, None) {
         Ok(mut training) => {
             training.prepare();
             training

@@ -14,7 +14,8 @@ use plant::bench::family::Family;
 #[command(after_help = "\
 Examples:
   trainer train-family --out out/adult                                       (the shipped adult)
-  trainer train-family --family neonate --ripple 0.4 --iterations 20000 --out out/neonate       (the shipped neonate)
+  trainer train-family --out out/neonate --family neonate --ripple 0.4 --margin-price 4 --iterations 16000
+                                                                             (the shipped neonate)
   trainer train-family --family my-machines.toml --units 32 --iterations 3000 --out out/mine
   lab robust --controller out/adult/controller.safetensors
 
@@ -51,10 +52,9 @@ pub struct Args {
     /// Largest amplitude of a ripple late in the inspiration, in the pressure or in its reading, cmH2O: it trains for stability margins
     #[arg(long, value_name = "CMH2O", value_parser = not_negative, default_value_t = FamilyRun::default().train.ripple)]
     ripple: f32,
-    /// Share of the breaths in which the loop gets half or twice its gain, or 10 ms more dead time, once the pressure should have
-    /// settled: it trains for stability margins
-    #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = FamilyRun::default().train.strain_share)]
-    strain: f32,
+    /// Price of stability margins: of a sensitivity of the loop that is 1 above its bound, cmH2O
+    #[arg(long, value_name = "PRICE", value_parser = not_negative, default_value_t = FamilyRun::default().train.margin_price)]
+    margin_price: f32,
     #[command(flatten)]
     result: ResultArgs,
 }
@@ -85,14 +85,6 @@ fn not_negative(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Parses a share.
-fn share(text: &str) -> Result<f32, String> {
-    match text.parse() {
-        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
-        _ => Err("write a number from 0 to 1, such as 0.5".to_owned()),
-    }
-}
-
 impl Args {
     fn config(&self, family: &Family) -> anyhow::Result<FamilyRun> {
         let prescriptions = family.prescriptions(&self.prescriptions)?;
@@ -108,7 +100,7 @@ impl Args {
         config.train.batch = self.batch;
         config.train.effort_price = self.effort_price;
         config.train.ripple = self.ripple;
-        config.train.strain_share = self.strain;
+        config.train.margin_price = self.margin_price;
         Ok(config)
     }
 }

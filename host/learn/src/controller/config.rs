@@ -107,6 +107,18 @@ impl Weighting {
     }
 }
 
+/// What an oracle tells the controller of its unit. Every breath is then the first of its course.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Told {
+    /// Nothing, to compare with.
+    Nothing,
+    /// Dead time, lag, play, dead zone, curve and full flow of the machine.
+    Machine,
+    /// Resistance and compliance of the lung too.
+    Unit,
+}
+
 /// Configuration of the training for a family.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -146,6 +158,13 @@ pub struct FamilyConfig {
     pub strain_share: f32,
     /// Additional dead time of a strained loop, s.
     pub strain_delay: f32,
+    /// Number of plateaus on which the margins are measured in a gradient step, as a share of the batch.
+    pub plateau_share: f32,
+    /// Price of a sensitivity of one above its bound, cmH2O.
+    pub margin_price: f32,
+    /// What an oracle tells the controller.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub told: Option<Told>,
     /// Factor on errors above the target.
     pub overshoot_weight: f32,
     /// Price of moving the valve once the pressure should have settled, cmH2O per percent of change per tick.
@@ -177,6 +196,9 @@ impl Default for FamilyConfig {
             early_weights: [3.0, 2.0],
             strain_share: 0.3,
             strain_delay: 0.01,
+            plateau_share: 0.2,
+            margin_price: 6.0,
+            told: None,
             overshoot_weight: 1.0,
             effort_price: 0.02,
             validate_every: 100,

@@ -104,7 +104,8 @@ impl Courses {
     pub fn pass(&mut self, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
         for l in 0..LANES {
             let [restarts, changes]: [f32; 2] = std::array::from_fn(|_| rng.random_range(0.0..1.0));
-            if self.breath[l] > 0 && restarts < config.restart_probability {
+            let restarts = config.told.is_some() || restarts < config.restart_probability;
+            if self.breath[l] > 0 && restarts {
                 self.begin(l, config, rng);
             } else if self.breath[l] > 0 && changes < config.lung_change_probability {
                 self.lung[l] = Some(rng.random_range(0..self.units));
@@ -116,11 +117,8 @@ impl Courses {
 
     /// Draws what is done to the loop of a lane in the next breath.
     fn strain(&mut self, l: usize, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
-        let kind: f32 = rng.random_range(0.0..1.0);
         let delay = self.ticks_in(config.strain_delay);
-        let kinds = [(STRAIN_GAINS.1, 0), (1.0, delay), (STRAIN_GAINS.0, 0)];
-        let place = (kind / config.strain_share.max(f32::EPSILON) * kinds.len() as f32) as usize;
-        (self.strain.gain[l], self.strain.delay[l]) = kinds.get(place).copied().unwrap_or((1.0, 0));
+        (self.strain.gain[l], self.strain.delay[l]) = strain(config.strain_share, delay, rng);
     }
 
     /// The next breath of every course. A course begins in standby, with the valve closed.
@@ -152,6 +150,9 @@ impl Courses {
         }
         Scenario {
             ticks,
+            scored_from: 0,
+            held_tick: ticks,
+            probe: None,
             prescribed: Prescribed::new(ticks, of(|s| s.pip), peep, rise_ticks),
             start,
             rest: Lane::from_fn(|l| if self.breath[l] == 0 { 0.0 } else { settings[l].expiratory_bias }),
@@ -187,8 +188,16 @@ impl Courses {
     }
 }
 
+/// Gain and additional dead time of a loop, ticks: in this share of the loops one of three kinds of strain, with this dead time.
+pub(super) fn strain(share: f32, delay: usize, rng: &mut ChaCha8Rng) -> (f32, usize) {
+    let kind: f32 = rng.random_range(0.0..1.0);
+    let kinds = [(STRAIN_GAINS.1, 0), (1.0, delay), (STRAIN_GAINS.0, 0)];
+    let place = (kind / share.max(f32::EPSILON) * kinds.len() as f32) as usize;
+    kinds.get(place).copied().unwrap_or((1.0, 0))
+}
+
 /// A prescription of a new course.
-fn prescription(usual: bool, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Settings {
+pub(super) fn prescription(usual: bool, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Settings {
     let (seed, number) = (rng.random(), rng.random_range(0..u32::MAX));
     if !usual {
         return config.prescriptions.draw(seed, number);

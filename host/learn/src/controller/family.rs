@@ -2,7 +2,8 @@
 //!
 //! Each lane follows a course of breaths on one unit. After a gradient step, the lane remembers the breath just run; with a small
 //! probability, it starts a new course on another unit. So the controller trains on first, second and late breaths, with memories
-//! that it has made itself. After every validation all courses start again, so that a stopped training continues exactly.
+//! that it has made itself. In every step, the margins of some loops are measured too, on `plateaus`. After every validation all
+//! courses start again, so that a stopped training continues exactly.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -13,7 +14,10 @@ use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 use super::config::FamilyConfig;
 use super::courses::Courses;
 use super::network::initial_parameters;
+use super::oracle;
+use super::plateaus;
 use super::rollout::{ClosedLoopTape, LaneController};
+use super::scenario::Scenario;
 use super::tapes::Tapes;
 use super::training::{Checkpoint, Stepwise, Trained, mean};
 use crate::simulator::model::Model;
@@ -77,6 +81,58 @@ impl FamilyTraining {
         Ok(training)
     }
 
+    /// Score and gradient of the next breath of every shard's courses.
+    fn on_courses(&mut self) -> Vec<(f64, Vec<f32>)> {
+        let longest = self.longest();
+        let Self { config, base, models, courses, tapes, state, .. } = self;
+        let (controller, model) = (LaneController::new(base, &state.parameters), &models.trained_on);
+        let of_shard = |(shard, courses): (usize, &mut Courses), tape: &mut ClosedLoopTape| {
+            let mut rng = stream(config, state.iteration + 1, shard);
+            courses.pass(config, &mut rng);
+            let mut scenario = courses.scenario(config, &mut rng);
+            tell(config, model, &mut scenario);
+            let loss = controller.forward(model, &scenario, tape);
+            scenario.weight = courses.weights(&loss.score, config);
+            let mut gradient = vec![0.0; Network::PARAMETERS];
+            controller.backward(&scenario, tape, &mut gradient);
+            courses.end(tape);
+            (logarithm(&loss.score), gradient)
+        };
+        let make = || ClosedLoopTape::new(model, longest);
+        let shards = courses.par_iter_mut().enumerate();
+        shards.map(|shard| tapes.lend(make, |tape| of_shard(shard, tape))).collect()
+    }
+
+    /// Gradient of the margins that are measured in a step, shard by shard.
+    fn on_plateaus(&self) -> Vec<Vec<f32>> {
+        let Self { config, base, models, courses, tapes, state, .. } = self;
+        let (controller, model) = (LaneController::new(base, &state.parameters), &models.trained_on);
+        let (units, longest) = (model.architecture().members() as u32, self.longest());
+        let of_shard = |shard: usize, tape: &mut ClosedLoopTape| {
+            let mut rng = stream(config, state.iteration + 1, shard);
+            let scenario = plateaus::draw(units, self.period_s(), config, &mut rng);
+            controller.forward(model, &scenario, tape);
+            let mut gradient = vec![0.0; Network::PARAMETERS];
+            controller.backward(&scenario, tape, &mut gradient);
+            gradient
+        };
+        let make = || ClosedLoopTape::new(model, longest);
+        let count = (config.plateau_share * courses.len() as f32).round() as usize;
+        let shards = (courses.len()..courses.len() + count).into_par_iter();
+        shards.map(|shard| tapes.lend(make, |tape| of_shard(shard, tape))).collect()
+    }
+
+    /// Ticks of the longest breath of a step.
+    fn longest(&self) -> usize {
+        let courses = self.courses.iter().map(Courses::ticks).max().unwrap_or(0);
+        courses.max(plateaus::longest(self.period_s()))
+    }
+
+    /// Control period, s.
+    fn period_s(&self) -> f32 {
+        shared::breath::period_s(self.base.spec().period_us)
+    }
+
     /// Geometric mean of the scores in the first breaths on held-out units, cmH2O: errors count in relation to what a unit allows.
     fn validate(&self, parameters: &[f32]) -> f64 {
         let controller = LaneController::new(&self.base, parameters);
@@ -89,12 +145,14 @@ impl FamilyTraining {
             let mut courses = Courses::new(units, self.base.spec().period_us, place, config, &mut rng);
             let mut tape = ClosedLoopTape::new(model, courses.ticks());
             let breath = |_| {
-                let scenario = courses.scenario(config, &mut rng);
+                let mut scenario = courses.scenario(config, &mut rng);
+                tell(config, model, &mut scenario);
                 let loss = controller.forward(model, &scenario, &mut tape);
                 courses.end(&tape);
                 logarithm(&loss.score)
             };
-            mean(&(0..VALIDATION.1).map(breath).collect::<Vec<_>>())
+            let breaths = if config.told.is_some() { 1 } else { VALIDATION.1 };
+            mean(&(0..breaths).map(breath).collect::<Vec<_>>())
         };
         let shards: Vec<f64> = (0..VALIDATION.0).into_par_iter().map(of_shard).collect();
         mean(&shards).exp()
@@ -132,31 +190,13 @@ impl Stepwise for FamilyTraining {
 
     /// The score is a geometric mean.
     fn step(&mut self) -> f64 {
-        let Self { config, base, models, courses, tapes, state, .. } = self;
-        let controller = LaneController::new(base, &state.parameters);
-        let (size, iteration, model) = (state.parameters.len(), state.iteration, &models.trained_on);
-        let of_shard = |(shard, courses): (usize, &mut Courses), tape: &mut ClosedLoopTape| {
-            let mut rng = stream(config, iteration + 1, shard);
-            courses.pass(config, &mut rng);
-            let mut scenario = courses.scenario(config, &mut rng);
-            let loss = controller.forward(model, &scenario, tape);
-            scenario.weight = courses.weights(&loss.score, config);
-            let mut gradient = vec![0.0; size];
-            controller.backward(&scenario, tape, &mut gradient);
-            courses.end(tape);
-            (logarithm(&loss.score), gradient)
-        };
-        let longest = courses.iter().map(Courses::ticks).max().unwrap_or(0);
-        let make = || ClosedLoopTape::new(model, longest);
-        let shards = courses.par_iter_mut().enumerate();
-        let parts: Vec<(f64, Vec<f32>)> =
-            shards.map(|shard| tapes.lend(make, |tape| of_shard(shard, tape))).collect();
-        let gradients: Vec<&[f32]> = parts.iter().map(|(_, gradient)| &gradient[..]).collect();
-        let gradient = together(&gradients);
+        let (scores, mut gradients): (Vec<f64>, Vec<Vec<f32>>) = self.on_courses().into_iter().unzip();
+        gradients.extend(self.on_plateaus());
+        let Self { config, state, .. } = self;
         let progress = state.iteration as f32 / config.iterations as f32;
-        state.adam.step(&mut state.parameters, &gradient, progress);
+        state.adam.step(&mut state.parameters, &together(&gradients), progress);
         state.iteration += 1;
-        mean(&parts.iter().map(|(score, _)| *score).collect::<Vec<_>>()).exp()
+        mean(&scores).exp()
     }
 
     fn keep_best(&mut self) -> f64 {
@@ -169,6 +209,13 @@ impl Stepwise for FamilyTraining {
 
     fn finish(&self) -> Result<Trained, ResidualError> {
         Trained::of(&self.base, self.base_score, &self.state.best)
+    }
+}
+
+/// Lets the oracle of a training speak, if it has one.
+fn tell(config: &FamilyConfig, model: &Model, scenario: &mut Scenario) {
+    if let Some(told) = config.told {
+        oracle::tell(told, model, scenario);
     }
 }
 
@@ -186,13 +233,13 @@ fn stream(config: &FamilyConfig, iteration: usize, shard: usize) -> ChaCha8Rng {
 }
 
 /// Mean gradient over the rollouts of shards, none of which outweighs the others.
-fn together(shards: &[&[f32]]) -> Vec<f32> {
+fn together(shards: &[Vec<f32>]) -> Vec<f32> {
     let norms: Vec<f32> = shards.iter().map(|gradient| norm(gradient)).collect();
     let most = MOST_OF_MEDIAN * median(&norms);
-    let mut mean = vec![0.0; shards.first().map_or(0, |gradient| gradient.len())];
+    let mut mean = vec![0.0; shards.first().map_or(0, Vec::len)];
     for (gradient, norm) in shards.iter().zip(norms) {
         let share = (most / norm).min(1.0) / (shards.len() * LANES) as f32;
-        for (sum, part) in mean.iter_mut().zip(*gradient) {
+        for (sum, part) in mean.iter_mut().zip(gradient) {
             *sum += share * part;
         }
     }
@@ -256,8 +303,8 @@ mod tests {
 
     #[test]
     fn a_shard_close_to_instability_counts_as_three_usual_ones() {
-        let (usual, wild) = ([3.0, 4.0], [3e6, 4e6]);
-        let mean = together(&[&usual, &wild, &usual]);
+        let (usual, wild) = (vec![3.0, 4.0], vec![3e6, 4e6]);
+        let mean = together(&[usual.clone(), wild, usual.clone()]);
         for (mean, usual) in mean.iter().zip(usual) {
             assert!((mean - 5.0 * usual / (3 * LANES) as f32).abs() < 1e-4, "{mean}");
         }

@@ -22,7 +22,7 @@ impl Loss {
     pub fn of(scenario: &Scenario, pressure: &[Lane]) -> Self {
         let (mut score, mut weighted) = (Lane::ZERO, 0.0);
         let share = 1.0 / scenario.ticks as f32;
-        for (tick, pressure) in pressure[..scenario.ticks].iter().enumerate() {
+        for (tick, pressure) in pressure[..scenario.ticks].iter().enumerate().skip(scenario.scored_from) {
             let error = pressure.zip(scenario.prescribed.target(tick), |p, target| p - target);
             score.add_scaled(share, &error.map(f32::abs));
             let rounded = error.map(|e| {
@@ -42,6 +42,9 @@ impl Loss {
 
 /// Gradient of [`Loss::weighted`] with respect to the pressures of a tick.
 pub(super) fn slope(scenario: &Scenario, pressure: &Lane, tick: usize) -> Lane {
+    if tick < scenario.scored_from {
+        return Lane::ZERO;
+    }
     let (above, target) = (scenario.overshoot_weight, scenario.prescribed.target(tick));
     let share = 1.0 / scenario.ticks as f32;
     Lane::from_fn(|l| {

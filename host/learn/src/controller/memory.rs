@@ -23,6 +23,8 @@ pub struct Recall {
     bin_ticks: u32,
     bins: Vec<[Lane; 2]>,
     any: Lane,
+    /// What an oracle says in its place.
+    told: Option<[Lane; RECALLED]>,
 }
 
 impl LaneMemory {
@@ -43,6 +45,7 @@ impl LaneMemory {
             bin_ticks: self.bin_ticks,
             bins: (0..BINS).map(|bin| [of(bin, 0), of(bin, 1)]).collect(),
             any: Lane::from_fn(|l| f32::from(u8::from(self.lanes[l].adopted() > 0))),
+            told: None,
         }
     }
 
@@ -61,8 +64,17 @@ impl LaneMemory {
 }
 
 impl Recall {
+    /// What an oracle says, the same at every tick.
+    pub(super) fn told(numbers: &[Lane; RECALLED]) -> Self {
+        Self { bin_ticks: 1, bins: Vec::new(), any: Lane::ZERO, told: Some(*numbers) }
+    }
+
     /// Writes what every lane recalls at a tick.
     pub(super) fn at(&self, tick: usize, out: &mut [Lane]) {
+        if let Some(numbers) = &self.told {
+            out.copy_from_slice(numbers);
+            return;
+        }
         let now = since_first(tick as u32, self.bin_ticks);
         let seen = |signal: usize, ahead: usize| {
             let Place { bin, share } = Place::at(now + ahead as f32);

@@ -109,8 +109,10 @@ impl LanePart for OurLanes {
     ) -> Lane {
         let seen = tape.inputs(tick);
         breath.features.forward(&mut breath.averages, signals, integral, tick, seen);
-        if let Some(memory) = &scenario.memory {
-            memory.at(tick, &mut seen[FEATURES..]);
+        match &scenario.memory {
+            Some(memory) => memory.at(tick, &mut seen[FEATURES..]),
+            // A tape may hold what another shard recalled.
+            None => seen[FEATURES..].fill(Lane::ZERO),
         }
         self.network.forward(tape, tick)
     }

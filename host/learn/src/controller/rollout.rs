@@ -32,6 +32,9 @@ pub struct ClosedLoopTape<C: Trainable = Residual> {
     d_signals: Signals,
     /// True (simulated) pressure at each tick, less the pull of efforts, cmH2O.
     pressure: Vec<Lane>,
+    /// Command to the valve at each tick, before the loop is strained, percent; in the backward pass, its gradients.
+    applied: Vec<Lane>,
+    d_applied: Vec<Lane>,
     /// Residual before the limit by its authority at each tick, percent.
     correction: Vec<Lane>,
 }
@@ -46,6 +49,8 @@ impl<C: Trainable> ClosedLoopTape<C> {
             signals: Signals::new(ticks),
             d_signals: Signals::new(ticks),
             pressure: vec![Lane::ZERO; ticks],
+            applied: vec![Lane::ZERO; ticks],
+            d_applied: vec![Lane::ZERO; ticks],
             correction: vec![Lane::ZERO; ticks],
         }
     }
@@ -97,7 +102,10 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         for tick in 0..scenario.ticks {
             self.tick(scenario, tape, &mut carried, tick);
         }
-        Loss::of(scenario, &tape.pressure)
+        let loss = Loss::of(scenario, &tape.pressure);
+        let amplified =
+            scenario.probe.as_ref().map_or(0.0, |probe| probe.loss(&tape.applied, &scenario.weight));
+        Loss { weighted: loss.weighted + amplified, ..loss }
     }
 
     fn tick(
@@ -128,7 +136,11 @@ impl<'a, C: Trainable> LaneController<'a, C> {
 
         tape.signals.command[tick] = command;
         self.learned.applied(learned, &command);
-        let strained = strained(scenario, &tape.signals.command, &mut carried.level, tick);
+        tape.applied[tick] = match &scenario.probe {
+            Some(probe) => limit(&probe.added(&command, tick), 0.0, COMMAND_MAX),
+            None => command,
+        };
+        let strained = strained(scenario, &tape.applied, &mut carried.level, tick);
         tape.simulator.advance(&strained);
     }
 
@@ -137,6 +149,10 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         let learned = self.learned.start_back(scenario, &mut tape.learned);
         let mut back = Carried { pid: PidLanes::default(), learned, level: Lane::ZERO };
         tape.d_signals.clear();
+        tape.d_applied.fill(Lane::ZERO);
+        if let Some(probe) = &scenario.probe {
+            probe.slopes(&tape.applied, &scenario.weight, &mut tape.d_applied);
+        }
         tape.simulator.start_back();
         for tick in (0..scenario.ticks).rev() {
             self.tick_back(scenario, tape, &mut back, tick);
@@ -154,8 +170,16 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         let Carried { pid, learned, .. } = back;
         let d_signals = &mut tape.d_signals;
         let d_plant = tape.simulator.command_gradient(tick);
-        strained_back(scenario, &d_plant, &mut d_signals.command, &mut back.level, tick);
+        strained_back(scenario, &d_plant, &mut tape.d_applied, &mut back.level, tick);
         let mut d_command = d_signals.command[tick];
+        let d_applied = match &scenario.probe {
+            Some(probe) => {
+                let added = probe.added(&tape.signals.command[tick], tick);
+                limit_back(&tape.d_applied[tick], &added, 0.0, COMMAND_MAX)
+            }
+            None => tape.d_applied[tick],
+        };
+        d_command.add_scaled(1.0, &d_applied);
         d_command.add_scaled(1.0, &loss::effort_slope(scenario, &tape.signals.command, tick));
         self.learned.applied_back(learned, &mut d_command);
 
@@ -217,6 +241,7 @@ fn strained_back(
 mod tests {
     use super::*;
     use crate::controller::network::{chip_network, initial_parameters};
+    use crate::controller::probe::{PAIRS, Probe, Sine};
     use crate::controller::scenario::Prescribed;
     use crate::simulator::BreathStart;
     use crate::simulator::model::Architecture;
@@ -259,6 +284,9 @@ mod tests {
     fn scenario(ticks: usize) -> Scenario {
         Scenario {
             ticks,
+            scored_from: ticks / 10,
+            held_tick: ticks * 9 / 10,
+            probe: None,
             prescribed: Prescribed::new(
                 ticks,
                 Lane::from_fn(|l| 16.0 + 0.5 * l as f32),
@@ -291,25 +319,25 @@ mod tests {
         controller.forward(model, scenario, &mut tape).weighted
     }
 
-    fn check(period_us: u32, ticks: usize, model: &Model) {
-        let (mut parameters, scenario) = (parameters(), scenario(ticks));
+    fn check(period_us: u32, scenario: &Scenario, model: &Model) {
+        let (mut parameters, ticks) = (parameters(), scenario.ticks);
         let residual = controller(period_us, &parameters);
         let lanes = LaneController::new(&residual, &parameters);
         let mut tape = ClosedLoopTape::new(model, ticks);
-        lanes.forward(model, &scenario, &mut tape);
+        lanes.forward(model, scenario, &mut tape);
         let limits = |u: &Lane| u.0.iter().all(|u| (1.0..99.0).contains(u));
         assert!(tape.signals.command.iter().all(limits), "the check needs commands off their limits");
         let mut gradient = vec![0.0; Network::PARAMETERS];
-        lanes.backward(&scenario, &mut tape, &mut gradient);
+        lanes.backward(scenario, &mut tape, &mut gradient);
 
         let largest = gradient.iter().fold(0.0_f32, |m, g| m.max(g.abs()));
         let mut checked = 0;
         for n in (0..parameters.len()).step_by(13).chain([parameters.len() - 1]) {
             let (kept, step) = (parameters[n], 4e-3);
             parameters[n] = kept + step;
-            let above = loss_of(&residual, &parameters, model, &scenario);
+            let above = loss_of(&residual, &parameters, model, scenario);
             parameters[n] = kept - step;
-            let below = loss_of(&residual, &parameters, model, &scenario);
+            let below = loss_of(&residual, &parameters, model, scenario);
             parameters[n] = kept;
             let numeric = (above - below) / f64::from(2.0 * step);
             let error = (numeric - f64::from(gradient[n])).abs();
@@ -327,7 +355,25 @@ mod tests {
     fn the_gradient_of_a_rollout_agrees_with_finite_differences() {
         let config = StateSpaceConfig { states: 6, hidden: 8, ..StateSpaceConfig::for_period(1000, 1) };
         let model = model(Architecture::StateSpace(config));
-        check(1000, 150, &model);
+        check(1000, &scenario(150), &model);
+    }
+
+    #[test]
+    fn the_gradient_of_the_measured_margins_agrees_with_finite_differences() {
+        let config = StateSpaceConfig { states: 6, hidden: 8, ..StateSpaceConfig::for_period(1000, 1) };
+        let model = model(Architecture::StateSpace(config));
+        let sine = |periods: usize, amplitude: f32| Sine {
+            periods,
+            amplitude: std::array::from_fn(|pair| amplitude * (1.0 + pair as f32)),
+            phase: 0.3 * periods as f32,
+        };
+        let probe = Probe {
+            window: (60, 80),
+            sines: vec![sine(1, 0.5), sine(3, 0.3)],
+            bound: [0.2; PAIRS],
+            price: 10.0,
+        };
+        check(1000, &Scenario { probe: Some(probe), ..scenario(150) }, &model);
     }
 
     #[test]
@@ -336,7 +382,7 @@ mod tests {
         let wild = stitched.initialise(&mut ChaCha8Rng::seed_from_u64(2));
         let tame: Vec<f32> = wild.iter().map(|w| 0.5 * w).collect();
         let model = Model::new(stitched, &tame);
-        check(30_000, 29, &model);
+        check(30_000, &scenario(29), &model);
     }
 
     #[test]
@@ -362,7 +408,7 @@ mod tests {
                     target: scenario.prescribed.target(tick)[l],
                     pip: pip[l],
                     peep: peep[l],
-                    tick: tick as u32,
+                    tick: tick.min(scenario.held_tick) as u32,
                     rise_ticks: rise_ticks[l],
                 };
                 let command = chip.step(&mut state, &seen).command;

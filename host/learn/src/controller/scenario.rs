@@ -12,6 +12,7 @@ use shared::settings::Settings;
 
 use super::config::TrainConfig;
 use super::memory::Recall;
+use super::probe::Probe;
 use crate::simulator::BreathStart;
 
 /// Share of the inspiration after which the pressure should have settled.
@@ -80,6 +81,12 @@ impl Strain {
 pub struct Scenario {
     /// Number of ticks of the inspiration.
     pub ticks: usize,
+    /// Tick from which the error counts.
+    pub scored_from: usize,
+    /// Last tick that the controller's clock shows.
+    pub held_tick: usize,
+    /// What measures the margins of the loops, if anything does.
+    pub probe: Option<Probe>,
     /// What each rollout is to follow.
     pub prescribed: Prescribed,
     /// Starting states of the breaths.
@@ -110,6 +117,9 @@ impl Scenario {
     pub fn plain(ticks: usize, pip: Lane) -> Self {
         Self {
             ticks,
+            scored_from: 0,
+            held_tick: ticks,
+            probe: None,
             prescribed: Prescribed::square(ticks, pip, 5.0),
             settled: [settled(ticks, 0, 0); LANES],
             strain: Strain::NONE,
@@ -140,6 +150,9 @@ impl Scenario {
         let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
         let mut scenario = Self {
             ticks,
+            scored_from: 0,
+            held_tick: ticks,
+            probe: None,
             prescribed: Prescribed::new(ticks, pip, peep, rise_ticks),
             settled: rise_ticks.map(|rise| settled(ticks, rise, 0)),
             strain: Strain::NONE,

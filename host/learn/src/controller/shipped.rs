@@ -4,12 +4,12 @@
 //!
 //! ```text
 //! trainer train-family --family adult --out out/adult
-//! trainer train-family --family neonate --ripple 0.4 --iterations 20000 --out out/neonate
+//! trainer train-family --family neonate --ripple 0.4 --margin-price 4 --iterations 16000 --out out/neonate
 //! trainer export out/adult/controller.safetensors --out host/learn/controllers/adult.bin
 //! trainer export out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
 //! ```
 //!
-//! For newborns, twice that ripple would cost 2 % of error in later breaths.
+//! Newborns get less ripple: twice as much would cost 2 % of error in later breaths.
 
 use shared::control::residual::Residual;
 use shared::weights::decode;

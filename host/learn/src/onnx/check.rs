@@ -116,6 +116,7 @@ pub fn simulator(simulator: &Simulator, unit: Option<u32>) -> SimulatedBreath {
         group: [None; LANES],
         ventilator: [unit; LANES],
         phases: None,
+        drawn: Lane::ZERO,
         resistance,
         compliance,
     };

@@ -82,7 +82,7 @@ impl Default for FamilyRun {
             extreme_share: 0.3,
             drawn: (4096, 512),
             collector: KNOWN_GOOD,
-            gains: PidGains { p: 3.0, i: 25.0, d: 0.08 },
+            gains: PidGains { p: 3.0, i: 8.0, d: 0.08 },
             collect: CollectConfig { breaths: 32, ..CollectConfig::default() },
             // All breaths in every gradient step: a unit has few numbers and many breaths.
             fit: FitConfig { epochs: 300, batch: 1024, adam, ..FitConfig::default() },

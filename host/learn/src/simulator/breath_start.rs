@@ -25,6 +25,9 @@ pub struct BreathStart {
     /// Inspiratory and expiratory time of the breath before, s; used only by [`unit`](super::unit), which takes the usual ones if
     /// they are not known.
     pub phases: Option<[Lane; 2]>,
+    /// Flow that is drawn out of the circuit during the breath, as a share of the valve's full flow; used only by
+    /// [`unit`](super::unit).
+    pub drawn: Lane,
     /// Scaled command of the inspiratory valve just before the breath; used only by [`hybrid`](super::hybrid).
     pub rest: Lane,
     /// Scaled command of the inspiratory valve at the end of the last inspiration.
@@ -47,6 +50,7 @@ impl Default for BreathStart {
             peep: Lane::splat(USUAL_PEEP),
             plateau: Lane::ZERO,
             phases: None,
+            drawn: Lane::ZERO,
             rest: Lane::ZERO,
             group: [None; LANES],
             ventilator: [None; LANES],

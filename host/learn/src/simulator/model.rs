@@ -86,7 +86,7 @@ impl Model {
     }
 
     /// Its parameters, in the architecture's order.
-    pub(super) fn parameters(&self) -> &[f32] {
+    pub(crate) fn parameters(&self) -> &[f32] {
         &self.parameters
     }
 

@@ -41,6 +41,7 @@ impl<'a> Shard<'a> {
             peep: self.lane(|episode| episode.peep),
             plateau: self.lane(|episode| episode.plateau),
             phases: Some([0, 1].map(|phase| self.lane(|episode| episode.phases[phase]))),
+            drawn: Lane::ZERO,
             rest: self.lane(|episode| episode.rest[0]),
             group: std::array::from_fn(|l| self.episode(l).group),
             ventilator: std::array::from_fn(|l| self.episode(l).ventilator),

@@ -32,6 +32,7 @@ fn start() -> BreathStart {
         pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32),
         peep: Lane::from_fn(|l| 4.0 + 0.05 * l as f32),
         plateau: Lane::from_fn(|l| 10.0 + l as f32),
+        drawn: Lane::from_fn(|l| 0.05 * l as f32),
         phases: Some([1.0, 0.8].map(|longest| Lane::from_fn(|l| longest - 0.02 * l as f32))),
         rest: Lane::from_fn(|l| 0.2 + 0.02 * l as f32),
         plateau_command: Lane::from_fn(|l| 1.2 - 0.05 * l as f32),

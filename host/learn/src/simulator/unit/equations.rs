@@ -20,9 +20,9 @@ pub(super) const NUMBERS: usize = valve::NUMBERS + 2 + lung::NUMBERS;
 pub(super) const STATE: usize = valve::STATE + lung::STATE;
 /// Place of the sensed pressure in the state.
 pub(super) const SENSED: usize = STATE - 1;
-/// Inputs of a tick: the newer and the older one of the commands around the dead time, percent, and PEEP,
-/// cmH2O.
-pub(super) const INPUTS: usize = 3;
+/// Inputs of a tick: the newer and the older one of the commands around the dead time, percent; PEEP, cmH2O; the flow that is
+/// drawn out of the circuit, as a share of the valve's full flow.
+pub(super) const INPUTS: usize = 4;
 
 /// The equations at a control period.
 #[derive(Clone, Copy, Debug)]
@@ -81,10 +81,11 @@ impl Equations<GIVEN, NUMBERS, STATE, INPUTS> for UnitEquations {
     fn tick<Q: Number>(numbers: [Q; NUMBERS], before: [Q; STATE], inputs: [Q; INPUTS]) -> [Q; STATE] {
         let [part, share, play, zone, exponent, full_flow, supply, lung @ ..] = numbers;
         let [actuator, stem, lung_before @ ..] = before;
-        let [newer, older, peep] = inputs;
+        let [newer, older, peep, drawn] = inputs;
         let valve = [part, share, play, zone, exponent];
         let ([actuator, stem], opening) = valve::tick(valve, [actuator, stem], [newer, older]);
-        let [closing, p, a, sensed] = lung::tick(lung, lung_before, [full_flow * opening, supply, peep]);
+        let [closing, p, a, sensed] =
+            lung::tick(lung, lung_before, [full_flow * opening, full_flow * drawn, supply, peep]);
         [actuator, stem, closing, p, a, sensed]
     }
 }

@@ -48,8 +48,9 @@ pub(super) fn unit(
 
     let symbols = Symbols::new(graph);
     let numbers = equations.numbers(unit).map(|number| symbols.constant(number[0]));
-    let inputs = [&newer, &older, block.peep()].map(|value| symbols.of(value));
+    let [newer, older, peep] = [&newer, &older, block.peep()].map(|value| symbols.of(value));
     let before = PIECES.map(|piece| symbols.of(&state.get(piece)));
+    let inputs = [newer, older, peep, symbols.constant(0.0)];
     let after = UnitEquations::tick(numbers, before, inputs).map(Symbol::value);
     // The sensed pressure is set with those of the ticks.
     for (piece, value) in PIECES.iter().zip(&after[..SENSED]) {

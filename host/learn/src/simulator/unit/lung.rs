@@ -1,7 +1,7 @@
 //! The lung of a unit behind its circuit: an implicit step for the pressure at the junction of all flows.
 //!
 //! ```text
-//! Cc dp/dt = F w sqrt(1 - p/S) - e g_e (p - PEEP) - g_l p - q      airway pressure p, opening e of the closing expiratory valve
+//! Cc dp/dt = F w sqrt(1 - p/S) - e g_e (p - PEEP) - g_l p - q - d  airway pressure p, opening e of the closing expiratory valve
 //! C  da/dt = q,  p - a = R q (1 + k |q|)                          alveolar pressure a
 //! ```
 #![expect(
@@ -60,12 +60,12 @@ pub(super) fn left_in_lung<Q: Number>([inspiration, expiration]: [Q; 2], [r, c, 
 }
 
 /// Expiratory opening, airway, alveolar and sensed pressure, cmH2O, after a tick with this flow of the valve
-/// without back-pressure, L/s.
+/// without back-pressure and with this one drawn out of the circuit, L/s.
 #[inline(always)]
 pub(super) fn tick<Q: Number>(
     [linear, square, rise, leak, keep, closing, expiratory, sensor]: [Q; NUMBERS],
     [opening, p, a, sensed]: [Q; STATE],
-    [flow, supply, peep]: [Q; 3],
+    [flow, drawn, supply, peep]: [Q; 4],
 ) -> [Q; STATE] {
     let opening = opening * closing;
     let lung = conductance(linear, square, (p - a).abs());
@@ -75,7 +75,7 @@ pub(super) fn tick<Q: Number>(
     let (leak_linear, leak_square) = LEAK_PARTS;
     let leaking = leak * conductance(p.constant(leak_linear), p.constant(leak_square), p.abs());
     let drive = (p.constant(1.0) - p / supply).max(p.constant(LEAST_DRIVE)).sqrt();
-    let sum = keep * p + flow * drive + out * peep + lung * a;
+    let sum = keep * p + flow * drive + out * peep + lung * a - drawn;
     let next = sum / (keep + lung + out + leaking);
     [opening, next, a + rise * lung * (next - a), sensed + sensor * (next - sensed)]
 }

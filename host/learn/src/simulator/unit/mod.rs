@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 use shared::settings::Settings;
 
 use self::equations::{GIVEN, INPUTS, NUMBERS, SENSED, STATE, UnitEquations};
-pub use self::numbers::{UnitNumbers, valve_flows};
+pub use self::numbers::{MACHINE_NUMBERS, UNIT_NUMBERS, UnitNumbers, scaled, valve_flows};
 use super::block::Block;
 use super::design::{Design, Dynamics};
 use super::shape::{ShapeError, members, within};
@@ -65,6 +65,8 @@ pub const PER_UNIT: usize = 16;
 const VALVE: usize = 7;
 const MS_PER_S: f32 = 1e3;
 
+/// Time in which the flow that is drawn out of a circuit rises, s.
+const DRAWN_WITHIN_S: f32 = 0.2;
 /// Longest phase of a breath that a file may have, ms.
 const PHASE_MAX_MS: usize = 3_600_000;
 
@@ -232,11 +234,13 @@ impl Dynamics for Units {
             }
         }
         let [newer, older] = commands;
-        points[0] = self.trajectory.step(block, &[newer, older, self.start.peep])[SENSED];
+        let risen = (block as f32 * self.config.timing.block_s() / DRAWN_WITHIN_S).min(1.0);
+        let drawn = self.start.drawn.map(|share| risen * share);
+        points[0] = self.trajectory.step(block, &[newer, older, self.start.peep, drawn])[SENSED];
     }
 
     fn step_back(&mut self, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
-        let [newer, older, _] = self.trajectory.step_back(block, SENSED, &d_points[0]);
+        let [newer, older, ..] = self.trajectory.step_back(block, SENSED, &d_points[0]);
         for (age, d) in [newer, older].iter().enumerate() {
             for l in 0..LANES {
                 if let Some(at) = self.delayed(block, age, l) {

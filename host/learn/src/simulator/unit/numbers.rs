@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{PER_UNIT, VALVE, lung, valve};
+use super::{PER_UNIT, USUAL, VALVE, lung, valve};
 use engine::Lane;
 
 /// Numbers of a unit that its maker or user knows. Pressures alone do not tell the scale of the flow: full flow, R, C and leak are
@@ -51,6 +51,33 @@ pub fn valve_flows(parameters: &[f32]) -> [f32; 4] {
     let number = |n: usize| Lane::splat(parameters[..PER_UNIT][n].exp());
     let [zone, exponent, full] = [valve::ZONE, valve::EXPONENT, valve::FULL_FLOW].map(number);
     [25.0, 50.0, 75.0, 100.0].map(|command| (full * valve::opening(Lane::splat(command), zone, exponent))[0])
+}
+
+/// Numbers of a machine, which come first among those of [`scaled`].
+pub const MACHINE_NUMBERS: usize = 6;
+/// Numbers of machine and lung.
+pub const UNIT_NUMBERS: usize = MACHINE_NUMBERS + 2;
+/// Logarithm of a number's ratio to the usual one that is scaled to one.
+const SCALE: f32 = 0.5;
+
+/// Dead time, lag, play, dead zone, exponent and full flow of one unit's machine, and R and C of one unit's lung, as scaled logarithms
+/// of their ratios to the usual ones.
+///
+/// # Panics
+/// With a unit that the parameters do not have.
+pub fn scaled(parameters: &[f32], machine: Option<u32>, lung: Option<u32>) -> [f32; UNIT_NUMBERS] {
+    let [own, lungs] = [machine, lung].map(|unit| unit.map_or(0, |unit| unit as usize) * PER_UNIT);
+    let places = [
+        own + valve::DEAD_TIME,
+        own + valve::LAG,
+        own + valve::PLAY,
+        own + valve::ZONE,
+        own + valve::EXPONENT,
+        own + valve::FULL_FLOW,
+        lungs + VALVE + lung::RESISTANCE,
+        lungs + VALVE + lung::COMPLIANCE,
+    ];
+    places.map(|place| (parameters[place] - USUAL[place % PER_UNIT].ln()) / SCALE)
 }
 
 #[cfg(test)]

@@ -1,0 +1,28 @@
+//! What a first breath could gain by knowing its unit: trains controllers for the first breath alone that are told nothing, the numbers
+//! of the machine, or those of machine and lung, and prints their error on held-out units of the simulators.
+//!
+//! ```text
+//! cargo run --release -p learn --example oracle -- adult 6000
+//! ```
+
+use std::error::Error;
+
+use learn::controller::Told;
+use learn::pipeline::family::FamilyRun;
+use plant::bench::family::Family;
+use progress::Progress;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let family = Family::find(&arguments.next().unwrap_or_else(|| "adult".to_owned()))?;
+    let iterations = arguments.next().map_or(Ok(6000), |count| count.parse())?;
+    let usual = family.prescriptions("paper")?;
+    println!("told       first breath, geometric mean, cmH2O");
+    for told in [Told::Nothing, Told::Machine, Told::Unit] {
+        let mut run = FamilyRun::of(&family, &usual);
+        (run.train.iterations, run.train.told) = (iterations, Some(told));
+        let trained = run.run(&family, None, &Progress::silent())?;
+        println!("{told:<10?} {:.3}", trained.learned.origin.validation);
+    }
+    Ok(())
+}
