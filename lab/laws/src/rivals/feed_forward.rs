@@ -4,7 +4,7 @@
 //! circuit takes the flow of its compliance, the lung that of a resistance and a compliance. The flow gives the stem's travel by the
 //! valve's curve, and that gives the command: the actuator's lag is shortened, its backlash taken up. A valve that is fully open
 //! gives no more, in the model too. The PID follows the model's pressure, delayed by a chosen time, and so corrects
-//! only what the model has wrong.
+//! only what the model has wrong. A slow rise of the target is known before: the model follows it the valve's dead time ahead.
 //!
 //! The lung is identified after each undisturbed inspiration from its commands and pressures ([`super::lung_fit`]); before the first
 //! one it is the usual lung on such a machine. Nothing is taken from the plant itself.
@@ -70,6 +70,8 @@ pub struct FeedForward {
     /// Ratio of the actuator's lag to the shortened one.
     quicker: f32,
     delay_ticks: usize,
+    /// Ticks of the valve's dead time.
+    dead_ticks: u32,
 }
 
 /// State of the law: what is known of the lung, and the model in the running breath.
@@ -114,6 +116,7 @@ impl FeedForward {
             storage: 1e-3 * machine.circuit / period,
             quicker: (machine.lag_s / (1e-3 * valve_ms)).max(1.0),
             delay_ticks: (1e-3 * delay_ms / period).round() as usize,
+            dead_ticks: math::ticks(machine.dead_time_s, period_us),
         })
     }
 
@@ -195,7 +198,7 @@ impl ControlLaw for FeedForward {
         state.pressure = seen.pressure;
         let lung = state.lung.unwrap_or(self.machine.usual);
         let model = state.model.get_or_insert_with(|| Model::at_rest(seen.peep));
-        let fed = self.predicted(model, lung, seen.target);
+        let fed = self.predicted(model, lung, seen.target + seen.rise_within(self.dead_ticks));
         // The derivative part must not brake the predicted rise: the PID sees the distance to the model, not the pressure.
         let pressure = seen.pip + seen.pressure - model.delayed(self.delay_ticks);
         let rest = Observation { pressure, target: seen.pip, ..*seen };
