@@ -12,19 +12,19 @@
 //! | 20 | 12 | gains P, I, D of the PID underneath |
 //! | 32 | 4 | lambda |
 //! | 36 | 4 | authority, percent |
-//! | 40 | 8 | ages of the error taps, ticks, u8 each |
-//! | 48 | 6 | ages of the command taps, ticks, u8 each |
-//! | 54 | 8 | time constants of the error's averages, s |
-//! | 62 | 8 | time constants of the command's averages, s |
-//! | 70 | 12 | time constants of the time features, s |
-//! | 82 | 3 | ticks ahead at which the target is seen, u8 each |
-//! | 85 | 16 | training id |
-//! | 101 | 16 | plant id |
-//! | 117 | 4 | golden: last command of the [`exercise`], percent |
-//! | 121 | 4 | golden: CRC-32 over the bits of all its commands |
-//! | 125 | 4 | length of the parameters, bytes, u32 |
-//! | 129 | 4 | image version, u32: grows with every signed image; 0 in an unsigned image |
-//! | 133 | ... | parameters in the order of [`Network::parameters`] |
+//! | 40 | 7 | ages of the error taps, ticks, u8 each |
+//! | 47 | 6 | ages of the command taps, ticks, u8 each |
+//! | 53 | 8 | time constants of the error's averages, s |
+//! | 61 | 8 | time constants of the command's averages, s |
+//! | 69 | 12 | time constants of the time features, s |
+//! | 81 | 2 | ticks ahead at which the target is seen, u8 each |
+//! | 83 | 16 | training id |
+//! | 99 | 16 | plant id |
+//! | 115 | 4 | golden: last command of the [`exercise`], percent |
+//! | 119 | 4 | golden: CRC-32 over the bits of all its commands |
+//! | 123 | 4 | length of the parameters, bytes, u32 |
+//! | 127 | 4 | image version, u32: grows with every signed image; 0 in an unsigned image |
+//! | 131 | ... | parameters in the order of [`Network::parameters`] |
 //! | ... | 64 | ed25519 signature of everything before; zeros in an unsigned image ([`trust`]) |
 //! | end | 4 | CRC-32 over everything before, u32; also the image's id |
 //!
@@ -56,13 +56,13 @@ pub const FORMAT_VERSION: u16 = 4;
 /// output, PID underneath.
 pub const ARCHITECTURE: u16 = 3;
 /// Offset of the plant id, bytes.
-pub const PLANT_AT: usize = 101;
+pub const PLANT_AT: usize = 99;
 /// Length of the plant id, bytes.
 pub const PLANT_BYTES: usize = 16;
 /// Offset of the image version, bytes.
-pub const VERSION_AT: usize = 129;
+pub const VERSION_AT: usize = 127;
 /// Length of the header, before the parameters, bytes.
-pub const HEADER_BYTES: usize = 133;
+pub const HEADER_BYTES: usize = 131;
 /// Length of the signature, bytes.
 pub const SIGNATURE_BYTES: usize = 64;
 /// Length of the parameters, bytes.

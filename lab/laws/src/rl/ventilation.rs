@@ -285,6 +285,7 @@ mod tests {
     use super::*;
     use learn::simulator::first_order;
     use rand_chacha::rand_core::SeedableRng;
+    use shared::control::features::INTEGRAL;
 
     fn rng() -> ChaCha8Rng {
         ChaCha8Rng::seed_from_u64(3)
@@ -372,14 +373,16 @@ mod tests {
             if tick % 10 == 0 {
                 let mut got = [Lane::ZERO; FEATURES];
                 task.observe(&mut got);
-                for (n, (got, expected)) in got.iter().zip(expected).enumerate().filter(|(n, _)| *n != 18) {
+                for (n, (got, expected)) in
+                    got.iter().zip(expected).enumerate().filter(|(n, _)| *n != INTEGRAL)
+                {
                     assert!((got[2] - expected).abs() < 1e-6, "feature {n} at tick {tick}");
                 }
             }
             features.applied(&mut state, 40.0);
             lung.advance(&Lane::splat(40.0));
         }
-        let integral: f32 = task.seen[18][2];
+        let integral: f32 = task.seen[INTEGRAL][2];
         assert!(integral > 0.0, "the pressure was below its target");
     }
 

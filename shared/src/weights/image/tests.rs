@@ -9,7 +9,7 @@ use crate::control::residual::ResidualError;
 use crate::weights::VERSION_AT;
 
 /// Offset of the length of the parameters.
-const PARAMETER_BYTES_AT: usize = 125;
+const PARAMETER_BYTES_AT: usize = 123;
 
 const IDENTITY: Identity = Identity { training: *b"training 0000001", plant: *b"virtual bench   " };
 
@@ -159,14 +159,14 @@ fn a_specification_out_of_bounds_is_refused_in_spite_of_its_checksum() {
     assert!(matches!(spec_error(20, f32::NAN), Err(WeightsError::Spec(ResidualError::Gain(_)))));
     assert!(matches!(spec_error(32, 1.5), Err(WeightsError::Spec(ResidualError::OutOfBounds { .. }))));
     assert!(matches!(spec_error(36, f32::NAN), Err(WeightsError::Spec(ResidualError::OutOfBounds { .. }))));
-    assert!(matches!(spec_error(70, 0.0), Err(WeightsError::Spec(ResidualError::Features(_)))));
+    assert!(matches!(spec_error(69, 0.0), Err(WeightsError::Spec(ResidualError::Features(_)))));
     let tap = decode(&forged(|b| b[47] = 0));
     assert!(matches!(tap, Err(WeightsError::Spec(ResidualError::Features(_)))));
 }
 
 #[test]
 fn an_altered_golden_value_or_controller_is_refused_in_spite_of_its_checksum() {
-    for at in [117, 121] {
+    for at in [115, 119] {
         assert_eq!(decode(&forged(|b| b[at] ^= 1)), Err(WeightsError::Golden));
     }
     assert_eq!(decode(&forged(|b| put(b, 24, 3.0))), Err(WeightsError::Golden));

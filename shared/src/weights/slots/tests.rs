@@ -32,7 +32,7 @@ fn image(gain: f32) -> [u8; IMAGE_BYTES] {
 /// An image with the right checksum but a wrong golden value.
 fn forged(gain: f32) -> [u8; IMAGE_BYTES] {
     let mut forged = image(gain);
-    forged[117] ^= 1;
+    forged[115] ^= 1;
     let checksum = crc32(&forged[..IMAGE_BYTES - 4]);
     forged[IMAGE_BYTES - 4..].copy_from_slice(&checksum.to_le_bytes());
     forged
