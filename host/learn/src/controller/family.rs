@@ -93,8 +93,7 @@ impl FamilyTraining {
             tell(config, model, &mut scenario);
             let loss = controller.forward(model, &scenario, tape);
             scenario.weight = courses.weights(&loss.score, config);
-            let mut gradient = vec![0.0; Network::PARAMETERS];
-            controller.backward(&scenario, tape, &mut gradient);
+            let gradient = gradient(&controller, &scenario, tape);
             courses.end(tape);
             (logarithm(&loss.score), gradient)
         };
@@ -112,9 +111,7 @@ impl FamilyTraining {
             let mut rng = stream(config, state.iteration + 1, shard);
             let scenario = plateaus::draw(units, self.period_s(), config, &mut rng);
             controller.forward(model, &scenario, tape);
-            let mut gradient = vec![0.0; Network::PARAMETERS];
-            controller.backward(&scenario, tape, &mut gradient);
-            gradient
+            gradient(&controller, &scenario, tape)
         };
         let make = || ClosedLoopTape::new(model, longest);
         let count = (config.plateau_share * courses.len() as f32).round() as usize;
@@ -212,6 +209,13 @@ impl Stepwise for FamilyTraining {
     }
 }
 
+/// Gradient of a rollout that has run forward.
+fn gradient(controller: &LaneController<'_>, scenario: &Scenario, tape: &mut ClosedLoopTape) -> Vec<f32> {
+    let mut gradient = vec![0.0; Network::PARAMETERS];
+    controller.backward(scenario, tape, &mut gradient);
+    gradient
+}
+
 /// Lets the oracle of a training speak, if it has one.
 fn tell(config: &FamilyConfig, model: &Model, scenario: &mut Scenario) {
     if let Some(told) = config.told {
@@ -264,6 +268,7 @@ fn logarithm(score: &Lane) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::controller::Told;
     use crate::simulator::model::Architecture;
     use crate::simulator::unit::UnitConfig;
     use shared::control::features::FeatureSpec;
@@ -299,6 +304,26 @@ mod tests {
             first[shared::control::features::FEATURES..].iter().flatten().map(|w| w.abs()).sum::<f32>()
         };
         assert!(of_memory(trained.controller.network()) > 0.1);
+    }
+
+    #[test]
+    fn margins_and_what_an_oracle_tells_reach_the_weights() {
+        // The output layer is zero at first, so that only the later steps reach the hidden ones.
+        let after_some_steps = |change: &dyn Fn(&mut FamilyConfig)| {
+            let mut training = training(4);
+            // A PID so stiff that the sensitivity exceeds its bound.
+            let stiff = ResidualSpec { gains: PidGains { p: 8.0, i: 20.0, d: 0.0 }, ..*training.base.spec() };
+            training.base = Residual::new(stiff, Network::zero()).unwrap();
+            change(&mut training.config);
+            training.advance();
+            training.state.parameters
+        };
+        let usual = after_some_steps(&|_| ());
+        assert!(usual != after_some_steps(&|config| config.plateau_share = 0.0), "plateaus");
+        assert!(usual != after_some_steps(&|config| config.margin_price = 0.0), "price");
+        let [nothing, machine, unit] = [Told::Nothing, Told::Machine, Told::Unit]
+            .map(|told| after_some_steps(&|config| config.told = Some(told)));
+        assert!(nothing != machine && machine != unit, "oracle");
     }
 
     #[test]

@@ -81,6 +81,15 @@ mod tests {
     use super::*;
 
     #[test]
+    fn an_error_before_the_scored_ticks_counts_nothing() {
+        let scenario = Scenario { scored_from: 1, ..Scenario::plain(2, Lane::splat(20.0)) };
+        let (low, on_target) = (Lane::splat(10.0), Lane::splat(20.0));
+        assert!(Loss::of(&scenario, &[low, on_target]).weighted.abs() < 1e-9);
+        assert!(Loss::of(&scenario, &[on_target, low]).weighted > 1.0);
+        assert!(slope(&scenario, &low, 0).sum().abs() < 1e-9 && slope(&scenario, &low, 1).sum() < -1.0);
+    }
+
+    #[test]
     fn the_slope_agrees_with_finite_differences_and_overshoot_weighs_more() {
         let scenario = Scenario {
             weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),

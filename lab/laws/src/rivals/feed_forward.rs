@@ -248,6 +248,17 @@ mod tests {
     }
 
     #[test]
+    fn a_slow_rise_is_followed_the_valves_dead_time_ahead() {
+        let first = |rise_ticks| {
+            let (law, mut state) = (law(), law().initial_state());
+            law.start_breath(&mut state, 0.0);
+            law.step(&mut state, &Observation { pip: 25.0, rise_ticks, ..seen(0, 5.0, 5.0) })
+        };
+        // The target is still PEEP; only what follows differs.
+        assert!(first(100).command > first(400).command && first(400).command > first(100_000).command);
+    }
+
+    #[test]
     fn before_the_first_breath_the_usual_lung_of_the_machine_counts() {
         let first = |usual| {
             let mut law = law();

@@ -289,6 +289,24 @@ mod tests {
     }
 
     #[test]
+    fn a_flow_that_is_drawn_out_of_the_circuit_lowers_the_pressure() {
+        let (config, parameters) = prompt();
+        let last = |drawn: f32| {
+            let mut units = config.dynamics(&parameters, 40);
+            let (pressure, drawn) = (Lane::splat(5.0), Lane::splat(drawn));
+            units.begin(&BreathStart { pressure, plateau: pressure, drawn, ..BreathStart::default() });
+            let mut log = CommandLog::new(40, vec![Lane::splat(0.1)]);
+            let mut points = [Lane::ZERO];
+            for block in 0..40 {
+                log.block_mut(block).fill(Lane::splat(0.8));
+                units.step(block, &log, &mut points);
+            }
+            points[0][0]
+        };
+        assert!(last(0.2) < last(0.1) - 1.0 && last(0.1) < last(0.0) - 1.0);
+    }
+
+    #[test]
     fn the_valve_of_a_unit_works_on_the_lung_of_another() {
         let (config, parameters) = prompt();
         let pressures = |ventilator: u32, group: Option<u32>| {

@@ -100,6 +100,21 @@ mod tests {
             assert!((found / expected - 1.0).abs() < 1e-5, "{found}, not {expected}");
         }
     }
+
+    #[test]
+    fn the_scaled_numbers_are_those_of_one_units_machine_and_of_anothers_lung() {
+        let mut parameters = UnitConfig::for_period(1000, 2).initialise();
+        let near = |found: [f32; UNIT_NUMBERS], machine: f32, lung: f32| {
+            let (machines, lungs) = found.split_at(MACHINE_NUMBERS);
+            machines.iter().all(|number| (number - machine).abs() < 1e-5)
+                && lungs.iter().all(|number| (number - lung).abs() < 1e-5)
+        };
+        assert!(near(scaled(&parameters, Some(0), Some(1)), 0.0, 0.0));
+        parameters[PER_UNIT..].iter_mut().for_each(|parameter| *parameter += SCALE);
+        assert!(near(scaled(&parameters, Some(0), Some(1)), 0.0, 1.0));
+        assert!(near(scaled(&parameters, Some(1), Some(0)), 1.0, 0.0));
+    }
+
     #[test]
     fn the_flow_of_the_valve_rises_to_the_full_flow() {
         let flows = valve_flows(&UnitConfig::for_period(1000, 1).initialise());
