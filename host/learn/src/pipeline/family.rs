@@ -83,7 +83,7 @@ impl Default for FamilyRun {
             drawn: (4096, 512),
             collector: KNOWN_GOOD,
             gains: PidGains { p: 3.0, i: 8.0, d: 0.08 },
-            collect: CollectConfig { breaths: 32, ..CollectConfig::default() },
+            collect: CollectConfig { breaths: 64, ..CollectConfig::default() },
             // All breaths in every gradient step: a unit has few numbers and many breaths.
             fit: FitConfig { epochs: 300, batch: 1024, adam, ..FitConfig::default() },
             train: FamilyConfig::default(),
@@ -108,6 +108,7 @@ impl FamilyRun {
         run.gains = family.soft_pid.unwrap_or(run.gains);
         (run.collect.settings, run.collect.pip_range) = (family.settings, run.train.usual.pip_range());
         run.collect.pips.clone_from(&family.pips);
+        run.collect.prescriptions = (!prescriptions.are_listed()).then(|| prescriptions.clone());
         run
     }
 
@@ -274,7 +275,9 @@ fn noise(units: &[Simulator]) -> (f32, f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulator::open_loop::open_loop;
     use crate::simulator::unit::PER_UNIT;
+    use ventilator::collect::IN_A_ROW;
 
     #[test]
     fn the_familys_soft_pid_lies_under_the_residual() {
@@ -284,6 +287,50 @@ mod tests {
         assert_eq!(gains(text), FamilyRun::default().gains);
         let soft = gains(&format!("{text}[soft_pid]\np = 1\ni = 2\nd = 0"));
         assert_eq!(soft, PidGains { p: 1.0, i: 2.0, d: 0.0 });
+    }
+
+    /// Open-loop distance to the true pressure on fresh breaths of the first units, breaths after a change of settings included.
+    fn distances(run: &FamilyRun, family: &Family, units: &[Simulator], prescriptions: &str) -> Vec<f64> {
+        let prescriptions = Some(Prescriptions::from_toml(prescriptions).unwrap());
+        let collect = CollectConfig { breaths: 32, prescriptions, ..run.collect.clone() };
+        let fresh = FamilyRun { seed: 77, collect, ..run.clone() };
+        let of_unit = |(number, unit): (u32, &Simulator)| {
+            let bench = family.draw(seeds::units(run.seed), number);
+            let breaths = fresh.breaths(number, &bench, 0).unwrap();
+            let drawn: Vec<&Episode> = breaths.chunks(IN_A_ROW).skip(1).step_by(2).flatten().collect();
+            open_loop(unit, &drawn).truth.unwrap()
+        };
+        (0..).zip(units).map(of_unit).collect()
+    }
+
+    #[test]
+    fn units_are_right_at_every_prescription_that_they_were_recorded_at() {
+        let family = Family::find("adult").unwrap();
+        let run = FamilyRun::of(&family, &Prescriptions::find("bedside").unwrap());
+        let units: Vec<Simulator> =
+            (0..6).into_par_iter().map(|number| run.fitted(number, &family).unwrap()).collect();
+        // Settings, and the largest mean distance, cmH2O.
+        let rows = [
+            ("[settings]\npeep = 5", 0.3),
+            ("[settings]\npeep = 0", 0.4),
+            ("[settings]\npeep = 10", 0.4),
+            ("[settings]\npeep = 20", 0.8),
+            ("[settings]\nrise_time = 0.4", 0.3),
+            ("[settings]\ninspiratory_time = 0.4", 0.5),
+            ("[settings]\ninspiratory_time = 3\nrate = 8", 0.3),
+            ("[settings]\npip = 40\npressure_limit = 80\n[drawn]\npip = { uniform = [45, 55] }", 1.2),
+        ];
+        for (settings, bound) in rows {
+            let drawn = if settings.contains("drawn") {
+                ""
+            } else {
+                "\n[drawn]\ndriving_pressure = { uniform = [5, 25] }"
+            };
+            let found = distances(&run, &family, &units, &format!("{settings}{drawn}"));
+            let mean = found.iter().sum::<f64>() / found.len() as f64;
+            println!("{settings:?}: {mean:.3}");
+            assert!(mean < bound, "{settings}: {mean}, {found:?}");
+        }
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub struct Episode {
     pub plateau_command: f32,
     /// PIP of the breath, cmH2O.
     pub pip: f32,
-    /// PEEP of the breath, cmH2O.
+    /// PEEP of the expiration before, cmH2O: what the lung emptied to.
     pub peep: f32,
     /// Group of the breath in its recording (a lung, a test run), if it has groups.
     pub group: Option<u32>,
@@ -111,7 +111,7 @@ fn cut(
             phases: phases(recording, &rows, last_rows).map(|ticks| ticks as f32 * period_s),
             plateau_command: last_command.filter(|_| same_run).unwrap_or(channel(recording, rest, 0)),
             pip: recording.pip[rows.start],
-            peep: recording.peep[rows.start],
+            peep: recording.peep[if same_run { rows.start - 1 } else { rows.start }],
             group,
             ventilator: group.and_then(|group| ventilators.get(group as usize).copied()),
             rows: rows.clone(),

@@ -43,9 +43,22 @@ impl UnitEquations {
 
     /// The numbers of a breath.
     pub fn numbers<Q: Number>(self, unit: [Q; PER_UNIT]) -> [Q; NUMBERS] {
-        let [valve @ .., full_flow, supply, r, turbulence, c, leak, circuit, closing, orifice, sensor, _] =
-            unit;
-        let lung = [r, turbulence, c, leak, circuit, closing, orifice, sensor];
+        let [
+            valve @ ..,
+            full_flow,
+            supply,
+            r,
+            turbulence,
+            c,
+            leak,
+            circuit,
+            closing,
+            orifice,
+            sensor,
+            _,
+            inflection,
+        ] = unit;
+        let lung = [r, turbulence, c, leak, circuit, closing, orifice, sensor, inflection];
         let (valve, lung) = (valve::numbers(valve, self.tick), lung::numbers(lung, self.tick));
         let all = [&valve[..], &[full_flow, supply], &lung].concat();
         std::array::from_fn(|n| all[n])

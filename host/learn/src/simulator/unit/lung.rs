@@ -2,8 +2,10 @@
 //!
 //! ```text
 //! Cc dp/dt = F w sqrt(1 - p/S) - e g_e (p - PEEP) - g_l p - q - d  airway pressure p, opening e of the closing expiratory valve
-//! C  da/dt = q,  p - a = R q (1 + k |q|)                          alveolar pressure a
+//! C  da/dt = s q,  p - a = R q (1 + k |q|)                        alveolar pressure a
 //! ```
+//!
+//! The lung stiffens above its upper inflection as the bench's does: the elastance's factor s is 1 below it.
 #![expect(
     clippy::inline_always,
     reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
@@ -22,10 +24,13 @@ pub(super) const CIRCUIT: usize = 4;
 pub(super) const ORIFICE: usize = 6;
 pub(super) const SENSOR: usize = 7;
 pub(super) const OUTWARD: usize = 8;
+pub(super) const INFLECTION: usize = 9;
 /// Number of [`numbers`], and of pieces of state.
-pub(super) const NUMBERS: usize = 8;
+pub(super) const NUMBERS: usize = 9;
 pub(super) const STATE: usize = 4;
 const ML_PER_L: f32 = 1e3;
+/// Distance `V / C` beyond the inflection over which the elastance doubles, cmH2O.
+const STIFFENING: f32 = 20.0;
 /// Linear and square part of a leak of one L/s at 30 cmH2O.
 const LEAK_PARTS: (f32, f32) = (0.6, 29.4);
 /// Linear part of the expiratory valve, cmH2O/(L/s).
@@ -36,16 +41,24 @@ const LEAST_DRIVE: f32 = 0.01;
 /// Linear part of the resistor with the rise, its square part; rise of the alveolar pressure by 1 L/s in a
 /// tick, cmH2O; leak; conductance that represents the circuit's compliance, (L/s)/cmH2O; share of the
 /// expiratory opening that is left after a tick; square part of the expiratory valve; share of the way that
-/// the sensor moves in a tick.
+/// the sensor moves in a tick; upper inflection, cmH2O.
 pub(super) fn numbers<Q: Number>(
-    [r, turbulence, c, leak, circuit, closing, orifice, sensor]: [Q; 8],
+    [r, turbulence, c, leak, circuit, closing, orifice, sensor, inflection]: [Q; 9],
     tick_s: f32,
 ) -> [Q; NUMBERS] {
     let one = r.constant(1.0);
     let volume = r.constant(ML_PER_L * tick_s);
     let rise = volume / c;
     let (left, square) = (left_after(closing, tick_s), one / (orifice * orifice));
-    [r + rise, r * turbulence, rise, leak, circuit / volume, left, square, one - left_after(sensor, tick_s)]
+    let sensed = one - left_after(sensor, tick_s);
+    [r + rise, r * turbulence, rise, leak, circuit / volume, left, square, sensed, inflection]
+}
+
+/// Elastance of a lung with this recoil as a multiple of that below its inflection.
+#[inline(always)]
+fn stiffness<Q: Number>(recoil: Q, inflection: Q) -> Q {
+    let beyond = (recoil - inflection).max(recoil.constant(0.0));
+    (recoil.constant(1.0) + recoil.constant(2.0 / STIFFENING) * beyond).sqrt()
 }
 
 /// Share of the last plateau above PEEP that is still in the lung, for inspiratory and expiratory time, s, and a lung's R, C and
@@ -63,11 +76,13 @@ pub(super) fn left_in_lung<Q: Number>([inspiration, expiration]: [Q; 2], [r, c, 
 /// without back-pressure and with this one drawn out of the circuit, L/s.
 #[inline(always)]
 pub(super) fn tick<Q: Number>(
-    [linear, square, rise, leak, keep, closing, expiratory, sensor]: [Q; NUMBERS],
+    [linear, square, rise, leak, keep, closing, expiratory, sensor, inflection]: [Q; NUMBERS],
     [opening, p, a, sensed]: [Q; STATE],
     [flow, drawn, supply, peep]: [Q; 4],
 ) -> [Q; STATE] {
     let opening = opening * closing;
+    let stiffer = stiffness(a, inflection);
+    let linear = linear + rise * (stiffer - p.constant(1.0));
     let lung = conductance(linear, square, (p - a).abs());
     let above = p - peep;
     let outlet = conductance(p.constant(EXPIRATORY_LINEAR), expiratory, above.abs());
@@ -77,5 +92,5 @@ pub(super) fn tick<Q: Number>(
     let drive = (p.constant(1.0) - p / supply).max(p.constant(LEAST_DRIVE)).sqrt();
     let sum = keep * p + flow * drive + out * peep + lung * a - drawn;
     let next = sum / (keep + lung + out + leaking);
-    [opening, next, a + rise * lung * (next - a), sensed + sensor * (next - sensed)]
+    [opening, next, a + rise * stiffer * lung * (next - a), sensed + sensor * (next - sensed)]
 }

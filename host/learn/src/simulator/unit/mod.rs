@@ -58,9 +58,10 @@ const USUAL: [f32; PER_UNIT] = [
     0.4,   // orifice of the expiratory valve, L/s at 1 cmH2O
     4.0,   // lag of the sensor, ms
     3.0,   // resistance of the expiratory path, cmH2O/(L/s)
+    35.0,  // upper inflection of the lung, cmH2O
 ];
 /// Number of parameters of a unit.
-pub const PER_UNIT: usize = 16;
+pub const PER_UNIT: usize = 17;
 /// Number of parameters of the valve; those of the lung follow.
 const VALVE: usize = 7;
 const MS_PER_S: f32 = 1e3;
@@ -267,12 +268,14 @@ mod tests {
     use crate::simulator::model::Architecture;
     use crate::simulator::tests_support::check_gradients_in_steps;
 
-    /// Units with a prompt valve, so that it closes within the few steps of a test.
+    /// Units with a prompt valve, so that it closes within the few steps of a test, and lungs that stiffen.
     fn prompt() -> (UnitConfig, Vec<f32>) {
         let config = UnitConfig::for_period(10_000, 2);
         let mut parameters = config.initialise();
         for unit in parameters.chunks_exact_mut(PER_UNIT) {
             (unit[0], unit[1]) = (6.3_f32.ln(), 8.0_f32.ln());
+            // The pressures of a test reach it.
+            unit[VALVE + lung::INFLECTION] = 8.0_f32.ln();
         }
         for (n, parameter) in parameters.iter_mut().enumerate() {
             *parameter += 0.1 * (0.7 * n as f32).cos();

@@ -24,7 +24,8 @@ const FLOW_SCALE: [(usize, f32); 8] = [
     (VALVE + lung::OUTWARD, -1.0),
 ];
 /// Parameters of the lung; all others are the machine's.
-const OF_LUNG: [usize; 3] = [VALVE + lung::RESISTANCE, VALVE + lung::TURBULENCE, VALVE + lung::COMPLIANCE];
+const OF_LUNG: [usize; 4] =
+    [VALVE + lung::RESISTANCE, VALVE + lung::TURBULENCE, VALVE + lung::COMPLIANCE, VALVE + lung::INFLECTION];
 /// Deviation of a valve's numbers between machines of one type, as a share.
 const UNIT_SPREAD: f32 = 0.03;
 
