@@ -200,7 +200,7 @@ fn table(summary: &FitSummary) -> Table {
     for waveform in &summary.waveforms {
         table.row(row(&format!("PIP {}", waveform.pip), waveform.episodes, &waveform.open_loop));
     }
-    for group in &summary.groups {
+    for group in summary.settings.iter().chain(&summary.groups) {
         table.row(row(&group.group, group.episodes, &group.open_loop));
     }
     let (one_step, measured, truth) = (summary.one_step, summary.open_loop, summary.open_loop_true);

@@ -9,6 +9,7 @@ use learn::recipe::{Fitted, Parts};
 use learn::simulator::episode::Episode;
 use learn::simulator::model::{Architecture, Simulator};
 use learn::simulator::open_loop::{ByWaveform, OpenLoop, by_waveform, open_loop, response};
+use shared::breath::period_s;
 
 /// Times after the start of the inspiration at which the response to a higher command is reported, s.
 pub const RESPONSE_S: [f32; 3] = [0.1, 0.3, 0.8];
@@ -53,16 +54,18 @@ pub struct FitSummary {
     pub response: Vec<f64>,
     /// Errors by waveform.
     pub waveforms: Vec<ByWaveform>,
+    /// Errors by what was set, if more than the PIP varies.
+    pub settings: Vec<ByGroup>,
     /// Errors by lung or test run.
     pub groups: Vec<ByGroup>,
     /// Errors on the lungs that were held out altogether.
     pub held_out_lungs: Vec<ByGroup>,
 }
 
-/// Errors on the held-out breaths of one lung or test run.
+/// Errors on the held-out breaths of one lung, one test run, or one range of a setting.
 #[derive(Clone, Debug, Serialize)]
 pub struct ByGroup {
-    /// Name of the lung or test run.
+    /// Name of the lung, the test run or the range.
     pub group: String,
     /// Number of breaths.
     pub episodes: usize,
@@ -102,6 +105,7 @@ impl FitSummary {
             ),
             response: response(simulator, &parts.held_out, &RESPONSE_S),
             waveforms: by_waveform(simulator, &repeated(&parts.held_out)),
+            settings: by_setting(simulator, &parts.held_out, recording),
             groups: by_group(simulator, &parts.held_out, names),
             held_out_lungs: by_group(simulator, &parts.other_lungs, names),
         }
@@ -112,6 +116,65 @@ impl FitSummary {
 fn repeated<'a>(episodes: &[&'a Episode]) -> Vec<&'a Episode> {
     let count = |pip: f32| episodes.iter().filter(|e| e.pip.total_cmp(&pip).is_eq()).count();
     episodes.iter().copied().filter(|episode| count(episode.pip) > 1).collect()
+}
+
+/// Ranges of what can be set: name, setting, and its lowest and highest value; the highest belongs to the next range.
+const RANGES: [(&str, Set, f32, f32); 11] = [
+    ("PEEP below 4", |set| set.peep, f32::MIN, 4.0),
+    ("PEEP 4 to 8", |set| set.peep, 4.0, 8.0),
+    ("PEEP 8 to 14", |set| set.peep, 8.0, 14.0),
+    ("PEEP from 14", |set| set.peep, 14.0, f32::MAX),
+    ("PIP above 37", |set| set.pip, 37.1, f32::MAX),
+    ("square rise", |set| set.rise, f32::MIN, 0.02),
+    ("rise to 0.2 s", |set| set.rise, 0.02, 0.2),
+    ("rise from 0.2 s", |set| set.rise, 0.2, f32::MAX),
+    ("inspiration below 0.8 s", |set| set.inspiration, f32::MIN, 0.8),
+    ("inspiration 0.8 to 1.5 s", |set| set.inspiration, 0.8, 1.5),
+    ("inspiration from 1.5 s", |set| set.inspiration, 1.5, f32::MAX),
+];
+/// A setting of a breath.
+type Set = fn(&Prescribed) -> f32;
+
+/// What was set for a breath, as far as its recording tells: pressures in cmH2O, times in s.
+struct Prescribed {
+    pip: f32,
+    peep: f32,
+    rise: f32,
+    inspiration: f32,
+}
+
+impl Prescribed {
+    fn of(episode: &Episode, recording: &Recording) -> Self {
+        let target = &recording.target[episode.rows.clone()];
+        let highest = target.iter().copied().fold(f32::MIN, f32::max);
+        let rising = target.iter().take_while(|target| **target < highest).count();
+        let seconds = |ticks: usize| ticks as f32 * period_s(recording.provenance.period_us);
+        Self {
+            pip: episode.pip,
+            peep: episode.peep,
+            rise: seconds(rising),
+            inspiration: seconds(episode.rows.len()),
+        }
+    }
+}
+
+/// Errors by the ranges of the settings; none of a recording that varies only its PIP.
+fn by_setting(simulator: &Simulator, episodes: &[&Episode], recording: &Recording) -> Vec<ByGroup> {
+    let set: Vec<Prescribed> = episodes.iter().map(|e| Prescribed::of(e, recording)).collect();
+    let within = |of: Set, low: f32, high: f32| -> Vec<&Episode> {
+        let both = episodes.iter().zip(&set);
+        both.filter(|(_, set)| (low..high).contains(&of(set))).map(|(episode, _)| *episode).collect()
+    };
+    let judged = RANGES.iter().filter_map(|(name, of, low, high)| {
+        let own = within(*of, *low, *high);
+        let some = !own.is_empty() && own.len() < episodes.len();
+        some.then(|| ByGroup {
+            group: (*name).to_owned(),
+            episodes: own.len(),
+            open_loop: open_loop(simulator, &own),
+        })
+    });
+    judged.collect()
 }
 
 fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[TestRun]) -> Vec<ByGroup> {
@@ -132,7 +195,17 @@ mod tests {
     use data::import::{measured, measured_recording};
     use learn::recipe::Recipe;
     use learn::simulator::episode::episodes;
+    use learn::simulator::fit::{Fit, FitConfig};
+    use learn::simulator::unit::UnitConfig;
+    use plant::bench::BenchConfig;
+    use plant::prescriptions::Prescriptions;
     use progress::Progress;
+    use shared::breath::DEFAULT_PERIOD_US;
+    use shared::control::Controller;
+    use shared::control::pid::Pid;
+    use shared::device::KNOWN_GOOD;
+    use ventilator::BenchSource;
+    use ventilator::collect::{CollectConfig, collect};
 
     fn episode(pip: f32) -> Episode {
         Episode {
@@ -159,6 +232,35 @@ mod tests {
         let found = repeated(&all.iter().collect::<Vec<_>>());
         assert_eq!(found.len(), 2);
         assert!(found.iter().all(|e| e.pip.total_cmp(&10.0).is_eq()));
+    }
+
+    #[test]
+    fn errors_are_told_by_what_was_set_unless_only_the_pip_varies() {
+        let recorded = |prescriptions: Option<Prescriptions>| {
+            let pid = Controller::Pid(Pid::new(KNOWN_GOOD, DEFAULT_PERIOD_US).unwrap());
+            let config = CollectConfig { breaths: 40, prescriptions, ..CollectConfig::default() };
+            let bench = BenchConfig::default();
+            let mut source =
+                BenchSource::new(&bench, pid.clone(), &config.settings, DEFAULT_PERIOD_US, 1).unwrap();
+            collect(&mut source, &pid, &config, &Progress::silent()).unwrap().recording
+        };
+        let shape = UnitConfig::for_period(DEFAULT_PERIOD_US, 1);
+        let fit = |recording: &Recording| {
+            let all = episodes(recording, &shape.timing);
+            let config = FitConfig { epochs: 1, ..FitConfig::default() };
+            let episodes: Vec<&Episode> = all.iter().collect();
+            let simulator = Fit::new(Architecture::Unit(shape), &episodes, config, None).simulator("bench");
+            by_setting(&simulator, &episodes, recording)
+        };
+        assert!(fit(&recorded(None)).is_empty());
+        let found = fit(&recorded(Some(Prescriptions::find("bedside").unwrap())));
+        let number = |name: &str| found.iter().find(|range| range.group == name).map_or(0, |r| r.episodes);
+        let settings: [usize; 4] = ["PEEP", "square", "rise", "inspiration"].map(|setting| {
+            found.iter().filter(|range| range.group.starts_with(setting)).map(|range| range.episodes).sum()
+        });
+        assert_eq!([settings[0], settings[1] + settings[2], settings[3]], [40, 40, 40], "{found:?}");
+        assert!(number("square rise") >= 20 && number("PEEP 4 to 8") >= 20, "{found:?}");
+        assert!(found.iter().all(|range| range.open_loop.measured > 0.0));
     }
 
     /// Uses a quarter of the default's training; `docs/RECORDINGS.md` gives the command for the full training.
