@@ -131,7 +131,7 @@ pub struct FamilyConfig {
     pub prescriptions: Prescriptions,
     /// Waveforms that it is judged on by default: those of the paper, or of the family.
     pub usual: Prescriptions,
-    /// Share of the shards with these waveforms; in half of their courses, with any PIP between them.
+    /// Share of the shards with these waveforms; half of their courses have any PIP that can be set.
     pub usual_share: f32,
     /// Range of the standard deviation of the sensor noise, cmH2O.
     pub noise: (f32, f32),
@@ -165,7 +165,7 @@ pub struct FamilyConfig {
     /// What an oracle tells the controller.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub told: Option<Told>,
-    /// Factor on errors above the target.
+    /// Factor on an overshoot beyond a tenth of the driving pressure.
     pub overshoot_weight: f32,
     /// Price of moving the valve once the pressure should have settled, cmH2O per percent of change per tick.
     pub effort_price: f32,
@@ -193,13 +193,13 @@ impl Default for FamilyConfig {
             start_spread: 0.05,
             restart_probability: 0.12,
             lung_change_probability: 0.03,
-            early_weights: [3.0, 2.0],
+            early_weights: [4.0, 2.0],
             strain_share: 0.3,
             strain_delay: 0.01,
             plateau_share: 0.2,
-            margin_price: 6.0,
+            margin_price: 8.0,
             told: None,
-            overshoot_weight: 1.0,
+            overshoot_weight: 4.0,
             effort_price: 0.02,
             validate_every: 100,
             adam: AdamConfig { rate: 3e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },

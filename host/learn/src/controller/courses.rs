@@ -16,7 +16,12 @@ use crate::simulator::{BreathStart, COMMAND_SCALE};
 use engine::{LANES, Lane};
 
 /// Score below which the errors of a course weigh no more, cmH2O.
-const LEAST_SCORE: f32 = 0.5;
+const LEAST_SCORE: f32 = 0.3;
+/// Share of the courses with the usual waveforms whose PIP is any that can be set.
+const ANY_PIP_SHARE: f32 = 0.5;
+/// Overshoot that costs no more than any other error: a share of the driving pressure, and at least this, cmH2O.
+const OVERSHOOT_SHARE: f32 = 0.1;
+const LEAST_OVERSHOOT: f32 = 1.5;
 /// Smallest and largest gain of a strained loop.
 const STRAIN_GAINS: (f32, f32) = (0.5, 2.0);
 /// Time after its rise from which a pressure should have settled, s.
@@ -160,6 +165,7 @@ impl Courses {
             pull,
             weight: Lane::splat(1.0),
             overshoot_weight: config.overshoot_weight,
+            overshoot_from: of(|s| (OVERSHOOT_SHARE * (s.pip - s.peep)).max(LEAST_OVERSHOOT)),
             memory: Some(self.memory.recall()),
             settled,
             strain: self.strain.clone(),
@@ -203,8 +209,8 @@ pub(super) fn prescription(usual: bool, config: &FamilyConfig, rng: &mut ChaCha8
         return config.prescriptions.draw(seed, number);
     }
     let settings = config.usual.draw(seed, number);
-    let any = rng.random_range(0.0..1.0) < 0.5_f32;
-    let (low, high) = config.usual.pip_range();
+    let any = rng.random_range(0.0..1.0) < ANY_PIP_SHARE;
+    let (low, high) = config.usual.any_pip();
     let pip = if any { rng.random_range(low..high) } else { settings.pip };
     Settings { pip, ..settings }
 }
@@ -345,7 +351,7 @@ mod tests {
         };
         assert_eq!(weights(2.0), [15, 5, 10]);
         assert_eq!(weights(4.0)[1], 5, "the best breath counts");
-        assert_eq!(weights(1e-3)[1], 20, "but not without limit");
+        assert_eq!(weights(1e-3)[1], 33, "but not without limit");
     }
 
     #[test]

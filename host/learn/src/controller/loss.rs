@@ -25,9 +25,9 @@ impl Loss {
         for (tick, pressure) in pressure[..scenario.ticks].iter().enumerate().skip(scenario.scored_from) {
             let error = pressure.zip(scenario.prescribed.target(tick), |p, target| p - target);
             score.add_scaled(share, &error.map(f32::abs));
-            let rounded = error.map(|e| {
-                let size = huber::value(e, ROUNDING);
-                if e > 0.0 { scenario.overshoot_weight * size } else { size }
+            let above = scenario.overshoot_weight - 1.0;
+            let rounded = error.zip(&scenario.overshoot_from, |e, from| {
+                huber::value(e, ROUNDING) + above * huber::value((e - from).max(0.0), ROUNDING)
             });
             weighted += f64::from(rounded.zip(&scenario.weight, |e, w| share * w * e).sum());
         }
@@ -45,12 +45,13 @@ pub(super) fn slope(scenario: &Scenario, pressure: &Lane, tick: usize) -> Lane {
     if tick < scenario.scored_from {
         return Lane::ZERO;
     }
-    let (above, target) = (scenario.overshoot_weight, scenario.prescribed.target(tick));
+    let (above, target) = (scenario.overshoot_weight - 1.0, scenario.prescribed.target(tick));
     let share = 1.0 / scenario.ticks as f32;
     Lane::from_fn(|l| {
         let error = pressure[l] - target[l];
         let slope = huber::slope(error, ROUNDING);
-        share * scenario.weight[l] * if error > 0.0 { above * slope } else { slope }
+        let overshoot = huber::slope((error - scenario.overshoot_from[l]).max(0.0), ROUNDING);
+        share * scenario.weight[l] * (slope + above * overshoot)
     })
 }
 
@@ -94,6 +95,7 @@ mod tests {
         let scenario = Scenario {
             weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),
             overshoot_weight: 1.5,
+            overshoot_from: Lane::splat(1.75),
             ..Scenario::plain(2, Lane::splat(20.0))
         };
         // Errors from -7.5 to 7.5; none is at the kink.

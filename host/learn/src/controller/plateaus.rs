@@ -76,6 +76,7 @@ pub(super) fn draw(units: u32, period_s: f32, config: &FamilyConfig, rng: &mut C
         pull: Vec::new(),
         weight: Lane::splat(1.0),
         overshoot_weight: config.overshoot_weight,
+        overshoot_from: Lane::ZERO,
         probe: Some(Probe {
             window,
             sines: sines(window.1 as f32 * period_s, rng),

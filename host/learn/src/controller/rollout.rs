@@ -310,6 +310,7 @@ mod tests {
             pull: (0..ticks).map(|n| Lane::from_fn(|l| 0.2 * l as f32 * (0.1 * n as f32).sin())).collect(),
             weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),
             overshoot_weight: 1.5,
+            overshoot_from: Lane::splat(0.3),
         }
     }
 

@@ -109,6 +109,8 @@ pub struct Scenario {
     pub weight: Lane,
     /// Factor on errors above the target, 1 for the plain L1.
     pub overshoot_weight: f32,
+    /// Error above which this factor applies, cmH2O.
+    pub overshoot_from: Lane,
 }
 
 impl Scenario {
@@ -131,6 +133,7 @@ impl Scenario {
             pull: Vec::new(),
             weight: Lane::splat(1.0),
             overshoot_weight: 1.0,
+            overshoot_from: Lane::ZERO,
         }
     }
 
@@ -169,6 +172,7 @@ impl Scenario {
             pull: Vec::new(),
             weight: Lane::splat(1.0),
             overshoot_weight: config.overshoot_weight,
+            overshoot_from: Lane::ZERO,
         };
         // Last, so that efforts change no other draw.
         if let Some(efforts) = &config.efforts {

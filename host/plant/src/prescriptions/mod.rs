@@ -237,6 +237,12 @@ impl Prescriptions {
         (allowed(ends.0 - BEYOND_CMH2O).unwrap_or(ends.0), allowed(ends.1 + BEYOND_CMH2O).unwrap_or(ends.1))
     }
 
+    /// Lowest and highest PIP that a breath can have beside these settings, cmH2O.
+    pub fn any_pip(&self) -> (f32, f32) {
+        let pip = field("pip");
+        (pip.min.max(self.settings.peep + LEAST_RISE), pip.max)
+    }
+
     /// Settings of the breaths with this number, from 0, of those that a seed gives.
     pub fn draw(&self, seed: u64, number: u32) -> Settings {
         let drawn = |name: &str| {
@@ -321,6 +327,7 @@ mod tests {
         let range = |pips: &[f32]| Prescriptions::listed("", pips, Settings::default()).pip_range();
         assert_eq!(range(&PAPER_PIPS), (8.0, 37.0));
         assert_eq!(range(&[6.0, 59.0]), (6.0, 59.0));
+        assert_eq!(Prescriptions::default().any_pip(), (7.0, 60.0));
     }
 
     #[test]
