@@ -19,10 +19,11 @@ Examples:
   trainer train-family --family my-machines.toml --units 32 --iterations 3000 --out out/mine
   lab robust --controller out/adult/controller.safetensors
 
-The command records some units of the family with the known-good PID, fits a physical simulator to
-each, draws thousands of units around them, and trains on those over consecutive breaths: the
-controller sees the error and the command of earlier breaths. The defaults take about a quarter of
-an hour on two idle cores. Ctrl-C stops; the same command continues where it stopped.")]
+The command records some units of the family with the known-good PID at the prescriptions, fits a
+physical simulator to each, draws thousands of units around them, and trains on those over
+consecutive breaths: the controller sees the error and the command of earlier breaths. The defaults
+take about a quarter of an hour on two idle cores. Ctrl-C stops; the same command continues where it
+stopped.")]
 pub struct Args {
     /// Family of plants: a shipped one, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
