@@ -8,6 +8,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use learn::controller::{
     FamilyConfig, FamilyModels, FamilyTraining, PlantModels, Stepwise, TrainConfig, Training,
 };
+use learn::pipeline::family::FamilyRun;
 use learn::simulator::model::{Architecture, Model, Simulator};
 use learn::simulator::state_space::StateSpaceConfig;
 use learn::simulator::unit::UnitConfig;
@@ -63,7 +64,7 @@ fn family(batch: usize) -> FamilyTraining {
     let model = Model::new(Architecture::Unit(units), &parameters);
     let models = FamilyModels { trained_on: model.clone(), held_out: model };
     let config = FamilyConfig { batch, iterations: usize::MAX, ..FamilyConfig::default() };
-    match FamilyTraining::new(spec(PidGains { p: 3.0, i: 8.0, d: 0.08 }), models, config, None) {
+    match FamilyTraining::new(spec(FamilyRun::default().gains), models, config, None) {
         Ok(mut training) => {
             training.prepare();
             training

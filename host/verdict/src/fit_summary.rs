@@ -54,7 +54,7 @@ pub struct FitSummary {
     pub response: Vec<f64>,
     /// Errors by waveform.
     pub waveforms: Vec<ByWaveform>,
-    /// Errors by what was set, if more than the PIP varies.
+    /// Errors by PEEP, rise and inspiratory time, of those that vary, and at a PIP above the paper's.
     pub settings: Vec<ByGroup>,
     /// Errors by lung or test run.
     pub groups: Vec<ByGroup>,
@@ -158,7 +158,7 @@ impl Prescribed {
     }
 }
 
-/// Errors by the ranges of the settings; none of a recording that varies only its PIP.
+/// Errors by the ranges of the settings that hold some of the breaths, but not all.
 fn by_setting(simulator: &Simulator, episodes: &[&Episode], recording: &Recording) -> Vec<ByGroup> {
     let set: Vec<Prescribed> = episodes.iter().map(|e| Prescribed::of(e, recording)).collect();
     let within = |of: Set, low: f32, high: f32| -> Vec<&Episode> {

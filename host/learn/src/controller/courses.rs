@@ -311,6 +311,20 @@ mod tests {
         let scenario = drawn.scenario(&config, &mut ChaCha8Rng::seed_from_u64(5));
         assert_eq!(scenario.ticks, (1000.0 * drawn.inspiratory_time).round() as usize);
         assert_eq!(scenario.prescribed.peep, Lane(drawn.settings.map(|s| s.peep)));
+        for (from, settings) in scenario.overshoot_from.0.iter().zip(drawn.settings) {
+            let driving = settings.pip - settings.peep;
+            assert!((from - (0.1 * driving).max(1.5)).abs() < 1e-6, "a tenth of the driving pressure");
+        }
+    }
+
+    #[test]
+    fn half_of_the_usual_courses_have_any_pip_that_can_be_set() {
+        let config = FamilyConfig::default();
+        let rng = &mut ChaCha8Rng::seed_from_u64(5);
+        let pips: Vec<f32> = (0..4000).map(|_| prescription(true, &config, rng).pip).collect();
+        let beyond = pips.iter().filter(|pip| **pip > 37.0).count() as f32 / 4000.0;
+        assert!((beyond - 0.5 * 23.0 / 53.0).abs() < 0.03, "{beyond}");
+        assert!(pips.iter().all(|pip| (7.0..=60.0).contains(pip)));
     }
 
     #[test]

@@ -277,6 +277,15 @@ mod tests {
     }
 
     #[test]
+    fn a_breath_after_a_change_of_peep_starts_at_the_old_one() {
+        let mut recording = recording();
+        recording.peep[35..].fill(12.0);
+        let peeps: Vec<f32> =
+            episodes(&recording, &Timing::for_period(1000, 1)).iter().map(|e| e.peep).collect();
+        assert_eq!(peeps, [4.0, 4.0]);
+    }
+
+    #[test]
     fn a_breath_knows_the_phases_of_the_one_before() {
         let mut recording = recording();
         recording.phase[20..25].fill(2);

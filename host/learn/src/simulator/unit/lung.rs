@@ -94,3 +94,20 @@ pub(super) fn tick<Q: Number>(
     let next = sum / (keep + lung + out + leaking);
     [opening, next, a + rise * stiffer * lung * (next - a), sensed + sensor * (next - sensed)]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use engine::Lane;
+    use plant::bench::BenchConfig;
+
+    #[test]
+    fn the_lung_stiffens_as_the_benchs_does() {
+        let bench = BenchConfig::default().lung.first;
+        assert!((f64::from(STIFFENING) - bench.stiffening_cmh2o).abs() < 1e-6);
+        let at = |recoil: f32| stiffness(Lane::splat(recoil), Lane::splat(35.0))[0];
+        assert!((at(20.0) - 1.0).abs() < 1e-6, "not below the inflection");
+        // V / C = 55 lies 20 beyond it: its recoil is 55 + 20^2 / 40, its elastance twice that below.
+        assert!((at(65.0) - 2.0).abs() < 1e-5, "{}", at(65.0));
+    }
+}
