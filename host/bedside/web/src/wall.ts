@@ -75,8 +75,13 @@ export class Wall {
   private cards: Card[] = [];
   private groups: { cards: Card[]; element: HTMLElement }[] = [];
   private order = "";
+  /** Whether a card is being pressed: it must not move away under the pointer, or another device would open, or none. */
+  private pressed = false;
 
-  constructor(private readonly open: (device: Device) => void) {}
+  constructor(private readonly open: (device: Device) => void) {
+    this.element.addEventListener("pointerdown", () => { this.pressed = true; });
+    for (const end of ["pointerup", "pointercancel", "blur"]) window.addEventListener(end, () => { this.pressed = false; });
+  }
 
   describe(devices: readonly Device[]): void {
     this.cards = devices.map((device) => new Card(device, () => this.open(device)));
@@ -87,6 +92,7 @@ export class Wall {
       return { cards, element };
     });
     this.order = "";
+    this.pressed = false;
     this.sort();
   }
 
@@ -108,7 +114,7 @@ export class Wall {
     }));
     const sorted = this.groups.map((one, index) => ({ one, index, rank: rank(one.cards) })).sort((a, b) => b.rank - a.rank || a.index - b.index);
     const order = sorted.map(({ index }) => index).join();
-    if (order === this.order) return;
+    if (order === this.order || this.pressed) return;
     this.order = order;
     const focus = document.activeElement;
     this.element.replaceChildren(...sorted.map(({ one }) => one.element));

@@ -542,6 +542,22 @@ scene("the page finds the server again after its death, and keeps what it had", 
   assert.ok(await page.evaluate(() => window.eupnea.devices[0].trends.newest > 0));
 });
 
+scene("a card that is pressed stays under the pointer while an alarm moves another one to the front", { demo: true }, async (page, fake) => {
+  const names = () => page.evaluate(() => [...document.querySelectorAll(".card")].map((card) => card.ariaLabel));
+  await page.locator(".wall").waitFor();
+  const [first] = await names();
+  const box = await page.locator(".card-open").first().boundingBox();
+  await page.mouse.move(box.x + 5, box.y + 5);
+  await page.mouse.down();
+  fake.alarm(4, "disconnection", "high", "Patient disconnected");
+  await until(page, () => document.querySelector('.card .banner[data-priority="high"]') !== null);
+  await drawn(page);
+  assert.equal((await names())[0], first, "the cards stay");
+  await page.mouse.up();
+  await until(page, () => document.querySelector(".wall").hidden);
+  assert.equal(await page.locator("#device option:checked").textContent(), first);
+});
+
 scene("the wall shows the worst alarm first, pairs side by side, and opens a device", { demo: true }, async (page, fake) => {
   await until(page, () => document.querySelectorAll(".card").length === 9 && document.querySelectorAll(".pair").length === 3);
   fake.alarm(8, "leak", "low", "Leak");
