@@ -56,7 +56,7 @@ class Lesson(enum.IntEnum):
     ADOPT = 0
     #: It was disturbed, by an effort or the pressure limit for example: keep only what earlier breaths taught.
     DISCARD = 1
-    #: The next breath has other settings: forget all breaths.
+    #: The next breath has other settings than a small step of PIP or PEEP: forget all breaths.
     FORGET = 2
 
 

@@ -20,7 +20,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::breath::{Breath, Moment, Phase};
-use crate::control::memory::Lesson;
+use crate::control::memory::{self, Lesson};
 use crate::control::pid::{Pid, PidState};
 use crate::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use crate::explore::{Exploration, Perturbation};
@@ -377,7 +377,7 @@ impl<C: ControlLaw> Ventilator<C> {
         // What was learned belongs to the patient and the settings.
         let mut forgets = state.number == 0;
         if let Some(breath) = state.pending.take() {
-            forgets |= breath.settings() != state.breath.settings();
+            forgets |= !memory::outlasts(state.breath.settings(), breath.settings());
             state.breath = breath;
         }
         if forgets {

@@ -510,16 +510,46 @@ fn the_controller_learns_in_the_first_tick_after_the_inspiration() {
     assert_eq!((state.controller.len(), state.lesson()), (2, Lesson::Adopt));
 }
 
-#[test]
-fn changed_settings_make_the_controller_forget_and_the_same_settings_do_not() {
-    let lessons = taught(4, |ventilator, state, _| {
+/// Lessons of the two breaths around a change from the paper's settings at PIP 20 to these.
+fn taught_through_a_change_to(settings: Settings) -> [Vec<Lesson>; 2] {
+    let mut lessons = taught(4, |ventilator, state, _| {
         if state.tick() == 500 {
-            let pip = if state.breath_number() < 2 { 20.0 } else { 25.0 };
-            ventilator.apply(state, &paper_settings(pip)).unwrap();
+            let unchanged = state.breath_number() < 2;
+            let next = if unchanged { paper_settings(20.0) } else { settings };
+            ventilator.apply(state, &next).unwrap();
         }
     });
-    assert_eq!(lessons[2], [Lesson::Adopt]);
-    assert_eq!(lessons[3], [Lesson::Forget, Lesson::Adopt]);
+    let after = lessons.pop().unwrap();
+    [lessons.pop().unwrap(), after]
+}
+
+#[test]
+fn changed_settings_make_the_controller_forget_and_the_same_settings_do_not() {
+    let paper = paper_settings(20.0);
+    let changes = [
+        Settings { pip: 25.0, ..paper },
+        Settings { pip: 16.9, ..paper },
+        Settings { peep: 8.1, ..paper },
+        Settings { pip: 21.0, rise_time: 0.1, ..paper },
+        Settings { inspiratory_time: 1.1, ..paper },
+    ];
+    for settings in changes {
+        let lessons = taught_through_a_change_to(settings);
+        assert_eq!(
+            lessons,
+            [std::vec![Lesson::Adopt], std::vec![Lesson::Forget, Lesson::Adopt]],
+            "{settings:?}"
+        );
+    }
+}
+
+#[test]
+fn a_small_step_of_pip_or_peep_leaves_what_was_learned() {
+    let paper = paper_settings(20.0);
+    for (pip, peep) in [(23.0, 5.0), (17.0, 5.0), (20.0, 8.0), (22.0, 3.0), (20.0, 5.0)] {
+        let lessons = taught_through_a_change_to(Settings { pip, peep, ..paper });
+        assert_eq!(lessons, [std::vec![Lesson::Adopt], std::vec![Lesson::Adopt]], "PIP {pip}, PEEP {peep}");
+    }
 }
 
 #[test]

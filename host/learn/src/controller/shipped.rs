@@ -39,6 +39,41 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 mod tests {
     use super::*;
     use plant::bench::family::Family;
+    use shared::breath::{DEFAULT_PERIOD_US, Phase, paper_settings};
+    use shared::control::Controller;
+    use shared::settings::Settings;
+    use ventilator::{BenchSource, Source};
+
+    /// Mean error of a breath at PIP 22 after breaths of these settings, over units of the family `adult`, cmH2O.
+    fn error_after(breaths: &[Settings]) -> f32 {
+        let (family, law) =
+            (Family::find("adult").unwrap(), Controller::Residual(residual("adult").unwrap()));
+        let (mut sum, mut ticks) = (0.0, 0);
+        for unit in 0..8 {
+            let bench = family.draw(31, unit);
+            let mut source =
+                BenchSource::new(&bench, law.clone(), &paper_settings(20.0), DEFAULT_PERIOD_US, 5).unwrap();
+            for settings in breaths {
+                source.breath(settings, &mut |_| ()).unwrap();
+            }
+            let mut add = |tick: &ventilator::Tick| {
+                if tick.sample.phase == Phase::Inspiration {
+                    sum += (tick.truth.unwrap().airway_pressure - tick.sample.target).abs();
+                    ticks += 1;
+                }
+            };
+            source.breath(&paper_settings(22.0), &mut add).unwrap();
+        }
+        sum / ticks as f32
+    }
+
+    #[test]
+    fn a_small_step_of_pip_costs_less_than_half_of_what_a_first_breath_does() {
+        let settled = error_after(&[paper_settings(22.0); 6]);
+        let stepped = error_after(&[paper_settings(20.0); 6]);
+        let first = error_after(&[paper_settings(30.0); 6]);
+        assert!(stepped - settled < 0.5 * (first - settled), "{settled} {stepped} {first}");
+    }
 
     #[test]
     fn every_shipped_controller_runs_and_has_the_name_of_a_family() {
