@@ -169,6 +169,8 @@ pub struct FamilyConfig {
     pub overshoot_weight: f32,
     /// Price of moving the valve once the pressure should have settled, cmH2O per percent of change per tick.
     pub effort_price: f32,
+    /// Price of holding the valve back while the pressure is far below its target, long after it should have reached it, per percent.
+    pub restraint_price: f32,
     /// Gradient steps between validations.
     pub validate_every: usize,
     /// Settings of the optimiser.
@@ -180,7 +182,7 @@ pub struct FamilyConfig {
 impl Default for FamilyConfig {
     fn default() -> Self {
         Self {
-            iterations: 14_000,
+            iterations: 42_000,
             batch: 256,
             prescriptions: Prescriptions::default(),
             usual: Prescriptions::default(),
@@ -199,8 +201,9 @@ impl Default for FamilyConfig {
             plateau_share: 0.2,
             margin_price: 8.0,
             told: None,
-            overshoot_weight: 4.0,
+            overshoot_weight: 5.0,
             effort_price: 0.02,
+            restraint_price: 0.03,
             validate_every: 100,
             adam: AdamConfig { rate: 3e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
             seed: 0,

@@ -6,6 +6,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use shared::breath::period_s;
+use shared::math;
 use shared::settings::Settings;
 
 use super::config::FamilyConfig;
@@ -32,8 +33,8 @@ const AFTER_RISE_S: f32 = 0.2;
 pub(super) struct Courses {
     /// Number of units to draw from.
     units: u32,
-    /// Control period, s.
-    period_s: f32,
+    /// Control period, microseconds.
+    period_us: u32,
     /// Whether the courses have the usual waveforms.
     usual: bool,
     /// Inspiratory time, the same in all lanes, s.
@@ -63,7 +64,7 @@ impl Courses {
         let usual = place < config.usual_share || config.prescriptions.are_listed();
         let mut courses = Self {
             units,
-            period_s: period_s(period_us),
+            period_us,
             usual,
             inspiratory_time: prescription(usual, config, rng).inspiratory_time,
             machine: [None; LANES],
@@ -88,7 +89,7 @@ impl Courses {
 
     /// Whole ticks in this time, s.
     fn ticks_in(&self, time: f32) -> usize {
-        (time / self.period_s).round() as usize
+        math::ticks(time, self.period_us) as usize
     }
 
     /// Starts a new course in a lane.
@@ -150,7 +151,7 @@ impl Courses {
             let ripple = Ripple::draw(config, rng);
             let disturbed = if ripple.in_pressure { &mut pull } else { &mut noise };
             for (n, disturbed) in disturbed.iter_mut().enumerate().skip(first) {
-                disturbed[l] += ripple.at(n as f32 * self.period_s);
+                disturbed[l] += ripple.at(n as f32 * period_s(self.period_us));
             }
         }
         Scenario {
@@ -170,6 +171,7 @@ impl Courses {
             settled,
             strain: self.strain.clone(),
             effort_price: config.effort_price,
+            restraint_price: config.restraint_price,
         }
     }
 

@@ -109,7 +109,7 @@ impl FamilyTraining {
         let (units, longest) = (model.architecture().members() as u32, self.longest());
         let of_shard = |shard: usize, tape: &mut ClosedLoopTape| {
             let mut rng = stream(config, state.iteration + 1, shard);
-            let scenario = plateaus::draw(units, self.period_s(), config, &mut rng);
+            let scenario = plateaus::draw(units, base.spec().period_us, config, &mut rng);
             controller.forward(model, &scenario, tape);
             gradient(&controller, &scenario, tape)
         };
@@ -122,12 +122,7 @@ impl FamilyTraining {
     /// Ticks of the longest breath of a step.
     fn longest(&self) -> usize {
         let courses = self.courses.iter().map(Courses::ticks).max().unwrap_or(0);
-        courses.max(plateaus::longest(self.period_s()))
-    }
-
-    /// Control period, s.
-    fn period_s(&self) -> f32 {
-        shared::breath::period_s(self.base.spec().period_us)
+        courses.max(plateaus::longest(self.base.spec().period_us))
     }
 
     /// Geometric mean of the scores in the first breaths on held-out units, cmH2O: errors count in relation to what a unit allows.

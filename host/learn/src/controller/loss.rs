@@ -1,6 +1,7 @@
 //! The loss of a breath: mean distance of the pressure from its target, with a factor on overshoot.
 
 use engine::{Lane, huber};
+use shared::control::COMMAND_MAX;
 
 use super::scenario::Scenario;
 
@@ -77,6 +78,25 @@ pub(super) fn effort_slope(scenario: &Scenario, commands: &[Lane], tick: usize) 
     })
 }
 
+/// Distance below the target from which a loop is still far from it, cmH2O: more than any valve's lag can leave of a pressure that rises
+/// this late.
+const FAR: f32 = 4.0;
+
+/// Gradient of the price of holding the valve back although the pressure is far below its target, long after it should have reached
+/// it, with respect to the command of one tick. Only the open valve helps there, and the distance itself says little of it: on a unit
+/// that cannot reach its target it hardly depends on the last percents.
+pub(super) fn restraint_slope(scenario: &Scenario, pressure: &Lane, command: &Lane, tick: usize) -> Lane {
+    if scenario.restraint_price <= 0.0 || tick < scenario.scored_from {
+        return Lane::ZERO;
+    }
+    let below = scenario.prescribed.target(tick).zip(pressure, |target, p| target - p);
+    let share = scenario.restraint_price / scenario.ticks as f32;
+    Lane::from_fn(|l| {
+        let restrained = below[l] > FAR && tick >= scenario.settled[l] && command[l] < COMMAND_MAX;
+        if restrained { -share } else { 0.0 }
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -88,6 +108,19 @@ mod tests {
         assert!(Loss::of(&scenario, &[low, on_target]).weighted.abs() < 1e-9);
         assert!(Loss::of(&scenario, &[on_target, low]).weighted > 1.0);
         assert!(slope(&scenario, &low, 0).sum().abs() < 1e-9 && slope(&scenario, &low, 1).sum() < -1.0);
+    }
+
+    #[test]
+    fn only_a_valve_that_is_held_back_far_below_a_late_target_is_urged_to_open() {
+        let plain = Scenario::plain(4, Lane::splat(20.0));
+        let scenario = Scenario { settled: [2; engine::LANES], restraint_price: 0.4, ..plain };
+        let (far, near) = (Lane::splat(20.0 - 1.01 * FAR), Lane::splat(20.0 - 0.99 * FAR));
+        let (held, open) = (Lane::splat(99.0), Lane::splat(100.0));
+        let at = |pressure, command, tick| restraint_slope(&scenario, pressure, command, tick)[0];
+        assert!((at(&far, &held, 2) + 0.1).abs() < 1e-6);
+        for (pressure, command, tick) in [(&near, &held, 2), (&far, &open, 2), (&far, &held, 1)] {
+            assert!(at(pressure, command, tick).abs() < 1e-9, "tick {tick}");
+        }
     }
 
     #[test]

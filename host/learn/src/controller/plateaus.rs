@@ -9,6 +9,8 @@ use std::f32::consts::TAU;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use shared::breath::period_s;
+use shared::math;
 use shared::settings::Settings;
 
 use super::config::FamilyConfig;
@@ -37,9 +39,9 @@ const BOUNDS: (f32, f32) = (1.7, 3.0);
 /// Share of the loops that are strained.
 const STRAINED: f32 = 0.5;
 
-/// Draws a shard's plateaus on some of `units` units, with a control period in s.
-pub(super) fn draw(units: u32, period_s: f32, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Scenario {
-    let ticks_in = |time: f32| (time / period_s).round() as usize;
+/// Draws a shard's plateaus on some of `units` units, with a control period in microseconds.
+pub(super) fn draw(units: u32, period_us: u32, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Scenario {
+    let ticks_in = |time: f32| math::ticks(time, period_us) as usize;
     let window = (ticks_in(SETTLED_S), ticks_in(within(WINDOW_S, rng)));
     let ticks = window.0 + window.1;
     let settings: [Settings; LANES] = paired(
@@ -72,6 +74,7 @@ pub(super) fn draw(units: u32, period_s: f32, config: &FamilyConfig, rng: &mut C
         settled: [window.0 / 2; LANES],
         strain,
         effort_price: config.effort_price,
+        restraint_price: 0.0,
         noise,
         pull: Vec::new(),
         weight: Lane::splat(1.0),
@@ -79,7 +82,7 @@ pub(super) fn draw(units: u32, period_s: f32, config: &FamilyConfig, rng: &mut C
         overshoot_from: Lane::ZERO,
         probe: Some(Probe {
             window,
-            sines: sines(window.1 as f32 * period_s, rng),
+            sines: sines(window.1 as f32 * period_s(period_us), rng),
             bound,
             price: config.margin_price,
         }),
@@ -109,9 +112,9 @@ fn noise(ticks: usize, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Vec<Lane>
     (0..ticks).map(&mut of_tick).collect()
 }
 
-/// Ticks of the longest plateau, with a control period in s.
-pub(super) fn longest(period_s: f32) -> usize {
-    ((SETTLED_S + WINDOW_S.1) / period_s).ceil() as usize + 1
+/// Ticks of the longest plateau, with a control period in microseconds.
+pub(super) fn longest(period_us: u32) -> usize {
+    ((SETTLED_S + WINDOW_S.1) / period_s(period_us)).ceil() as usize + 1
 }
 
 /// The sines of a window of this length, s: in every second pair all together, in the others one of them.
@@ -150,7 +153,7 @@ mod tests {
     fn plateaus(seed: u64) -> Scenario {
         let prescriptions = Prescriptions::find("bedside").unwrap();
         let config = FamilyConfig { prescriptions, ..FamilyConfig::default() };
-        draw(50, 1e-3, &config, &mut ChaCha8Rng::seed_from_u64(seed))
+        draw(50, 1000, &config, &mut ChaCha8Rng::seed_from_u64(seed))
     }
 
     #[test]
@@ -193,7 +196,7 @@ mod tests {
             let count = |pair: usize| probe.sines.iter().filter(|sine| sine.amplitude[pair] > 0.0).count();
             assert!((0..PAIRS).all(|pair| (count(pair) == 1) == (pair % 2 == 0)));
             assert_eq!(drawn.ticks, probe.window.0 + probe.window.1);
-            assert!(drawn.ticks < longest(1e-3));
+            assert!(drawn.ticks < longest(1000));
         }
     }
 }

@@ -181,6 +181,8 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         };
         d_command.add_scaled(1.0, &d_applied);
         d_command.add_scaled(1.0, &loss::effort_slope(scenario, &tape.signals.command, tick));
+        let command = &tape.signals.command[tick];
+        d_command.add_scaled(1.0, &loss::restraint_slope(scenario, &tape.pressure[tick], command, tick));
         self.learned.applied_back(learned, &mut d_command);
 
         let d_errors = &mut d_signals.error;
@@ -306,6 +308,7 @@ mod tests {
             rest: Lane::splat(5.0),
             memory: None,
             effort_price: 0.0,
+            restraint_price: 0.0,
             noise: (0..ticks).map(|n| Lane::from_fn(|l| 0.1 * ((n * 7 + l) as f32).sin())).collect(),
             pull: (0..ticks).map(|n| Lane::from_fn(|l| 0.2 * l as f32 * (0.1 * n as f32).sin())).collect(),
             weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),

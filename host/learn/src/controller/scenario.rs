@@ -101,6 +101,8 @@ pub struct Scenario {
     pub strain: Strain,
     /// Price of moving the valve late in the inspiration, cmH2O of error per percent of change per tick.
     pub effort_price: f32,
+    /// Price of holding the valve back while the pressure is far below its target, long after it should have reached it, per percent.
+    pub restraint_price: f32,
     /// Sensor noise of each tick, cmH2O.
     pub noise: Vec<Lane>,
     /// Fall of the pressure by the patient's efforts at each tick, cmH2O; empty without any.
@@ -129,6 +131,7 @@ impl Scenario {
             rest: Lane::splat(5.0),
             memory: None,
             effort_price: 0.0,
+            restraint_price: 0.0,
             noise: vec![Lane::ZERO; ticks],
             pull: Vec::new(),
             weight: Lane::splat(1.0),
@@ -168,6 +171,7 @@ impl Scenario {
             rest: of(|s| s.expiratory_bias),
             memory: None,
             effort_price: 0.0,
+            restraint_price: 0.0,
             noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(noise))).collect(),
             pull: Vec::new(),
             weight: Lane::splat(1.0),
