@@ -46,8 +46,8 @@ pub const NEWEST: f32 = 0.5;
 /// Mean absolute difference to the remembered error, over the bins, from which a breath surprises: 0.5 cmH2O, in the scaled units
 /// of the features.
 pub const SURPRISE: f32 = 0.5 / ERROR_SCALE;
-/// Largest step of PIP and of PEEP that the memory outlasts, cmH2O. On the family `adult`, a step of PIP by 1 to 2 costs a breath a fifth
-/// of its error if it forgets and nothing if it remembers; from about 5 on, a first breath is the better one.
+/// Largest step of PIP and of PEEP that the memory outlasts, cmH2O. On the family `adult`, a breath after a step of PIP from 20 by 1 is
+/// 17 % worse than later ones if all is forgotten and 3 % if it is remembered, by 2 it is 17 and 7 %; from about 4 on, both are equal.
 pub const SMALL_STEP: f32 = 3.0;
 /// Adopted breaths before which no breath counts as a surprise: a controller that is still learning changes its errors by itself.
 pub const LEARNING: u8 = 4;

@@ -131,7 +131,7 @@ pub struct FamilyConfig {
     pub prescriptions: Prescriptions,
     /// Waveforms that it is judged on by default: those of the paper, or of the family.
     pub usual: Prescriptions,
-    /// Share of the shards with these waveforms; half of their courses have any PIP that can be set.
+    /// Share of the shards with these waveforms; most of their courses have any PIP that can be set.
     pub usual_share: f32,
     /// Range of the standard deviation of the sensor noise, cmH2O.
     pub noise: (f32, f32),
@@ -186,7 +186,7 @@ impl Default for FamilyConfig {
             batch: 256,
             prescriptions: Prescriptions::default(),
             usual: Prescriptions::default(),
-            usual_share: 0.3,
+            usual_share: 0.45,
             noise: (0.05, 0.2),
             ripple: 1.2,
             ripple_hz: (1.5, 12.0),
@@ -199,11 +199,11 @@ impl Default for FamilyConfig {
             strain_share: 0.3,
             strain_delay: 0.01,
             plateau_share: 0.2,
-            margin_price: 8.0,
+            margin_price: 12.0,
             told: None,
-            overshoot_weight: 5.0,
+            overshoot_weight: 6.0,
             effort_price: 0.02,
-            restraint_price: 0.03,
+            restraint_price: 0.05,
             validate_every: 100,
             adam: AdamConfig { rate: 3e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
             seed: 0,

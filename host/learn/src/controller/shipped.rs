@@ -1,6 +1,6 @@
 //! Learned controllers that come with the program, by name: one for each shipped family.
 //!
-//! These commands make them again, bit for bit:
+//! These commands make them again, bit for bit, the second one at revision 23ce1cb:
 //!
 //! ```text
 //! trainer train-family --family adult --out out/adult
@@ -9,7 +9,8 @@
 //! trainer export out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
 //! ```
 //!
-//! Newborns get less ripple: twice as much would cost 2 % of error in later breaths.
+//! Newborns get less ripple: twice as much would cost 2 % of error in later breaths. Today's training for more high PIPs gives them a
+//! lower error but loops that hunt on their plateaus, so the earlier weights stay.
 
 use shared::control::residual::Residual;
 use shared::weights::decode;
@@ -49,7 +50,7 @@ mod tests {
         let (family, law) =
             (Family::find("adult").unwrap(), Controller::Residual(residual("adult").unwrap()));
         let (mut sum, mut ticks) = (0.0, 0);
-        for unit in 0..8 {
+        for unit in 0..16 {
             let bench = family.draw(31, unit);
             let mut source =
                 BenchSource::new(&bench, law.clone(), &paper_settings(20.0), DEFAULT_PERIOD_US, 5).unwrap();
@@ -70,8 +71,9 @@ mod tests {
     #[test]
     fn a_small_step_of_pip_costs_less_than_half_of_what_a_first_breath_does() {
         let settled = error_after(&[paper_settings(22.0); 6]);
-        let stepped = error_after(&[paper_settings(20.0); 6]);
+        let stepped = error_after(&[paper_settings(21.0); 6]);
         let first = error_after(&[paper_settings(30.0); 6]);
+        println!("settled {settled:.3}, after a step {stepped:.3}, forgotten {first:.3}");
         assert!(stepped - settled < 0.5 * (first - settled), "{settled} {stepped} {first}");
     }
 
