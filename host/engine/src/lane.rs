@@ -31,30 +31,34 @@ impl Lane {
 
     /// A lane with the value `f(l)` for rollout `l`.
     #[inline(always)]
-    pub fn from_fn(f: impl FnMut(usize) -> f32) -> Self {
-        Self(std::array::from_fn(f))
+    pub fn from_fn(mut f: impl FnMut(usize) -> f32) -> Self {
+        // Without an iterator: with a crate in many units, its steps stay calls and the loop is not vectorised.
+        let (mut lane, mut l) = (Self::ZERO, 0);
+        while l < LANES {
+            lane.0[l] = f(l);
+            l += 1;
+        }
+        lane
     }
 
     /// Applies `f` to each value.
     #[inline(always)]
     #[must_use]
-    pub fn map(self, f: impl FnMut(f32) -> f32) -> Self {
-        Self(self.0.map(f))
+    pub fn map(self, mut f: impl FnMut(f32) -> f32) -> Self {
+        Self::from_fn(|l| f(self.0[l]))
     }
 
     /// Applies `f` to the two values of each rollout.
     #[inline(always)]
     #[must_use]
     pub fn zip(self, other: &Self, mut f: impl FnMut(f32, f32) -> f32) -> Self {
-        Self(std::array::from_fn(|l| f(self.0[l], other.0[l])))
+        Self::from_fn(|l| f(self.0[l], other.0[l]))
     }
 
     /// Adds `scale * other`.
     #[inline(always)]
     pub fn add_scaled(&mut self, scale: f32, other: &Self) {
-        for (a, b) in self.0.iter_mut().zip(&other.0) {
-            *a += scale * b;
-        }
+        *self = self.zip(other, |a, b| a + scale * b);
     }
 
     /// Sum over the rollouts.
