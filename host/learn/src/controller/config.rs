@@ -169,7 +169,8 @@ pub struct FamilyConfig {
     pub overshoot_weight: f32,
     /// Price of moving the valve once the pressure should have settled, cmH2O per percent of change per tick.
     pub effort_price: f32,
-    /// Price of holding the valve back while the pressure is far below its target, long after it should have reached it, per percent.
+    /// Price of holding the valve back while the pressure is far below its target, long after it should have reached it, cmH2O of error per
+    /// percent.
     pub restraint_price: f32,
     /// Gradient steps between validations.
     pub validate_every: usize,

@@ -146,12 +146,12 @@ impl Courses {
         let mut noise: Vec<Lane> = (0..ticks).map(|_| self.noise.map(|sd| sd * normal())).collect();
         let rise_ticks = settings.map(|s| self.ticks_in(s.rise_time).min(ticks) as u32);
         let settled = rise_ticks.map(|rise| settled(ticks, rise, self.ticks_in(AFTER_RISE_S)));
-        let mut pull = vec![Lane::ZERO; ticks];
+        let (mut pull, period) = (vec![Lane::ZERO; ticks], period_s(self.period_us));
         for (l, first) in settled.into_iter().enumerate() {
             let ripple = Ripple::draw(config, rng);
             let disturbed = if ripple.in_pressure { &mut pull } else { &mut noise };
             for (n, disturbed) in disturbed.iter_mut().enumerate().skip(first) {
-                disturbed[l] += ripple.at(n as f32 * period_s(self.period_us));
+                disturbed[l] += ripple.at(n as f32 * period);
             }
         }
         Scenario {

@@ -86,7 +86,7 @@ const FAR: f32 = 4.0;
 /// it, with respect to the command of one tick. Only the open valve helps there, and the distance itself says little of it: on a unit
 /// that cannot reach its target it hardly depends on the last percents.
 pub(super) fn restraint_slope(scenario: &Scenario, pressure: &Lane, command: &Lane, tick: usize) -> Lane {
-    if scenario.restraint_price <= 0.0 || tick < scenario.scored_from {
+    if scenario.restraint_price <= 0.0 {
         return Lane::ZERO;
     }
     let below = scenario.prescribed.target(tick).zip(pressure, |target, p| target - p);

@@ -320,7 +320,15 @@ mod tests {
     fn loss_of(residual: &Residual, parameters: &[f32], model: &Model, scenario: &Scenario) -> f64 {
         let controller = LaneController::new(residual, parameters);
         let mut tape = ClosedLoopTape::new(model, scenario.ticks);
-        controller.forward(model, scenario, &mut tape).weighted
+        let weighted = controller.forward(model, scenario, &mut tape).weighted;
+        weighted + (0..scenario.ticks).map(|tick| restraint(scenario, &tape, tick)).sum::<f64>()
+    }
+
+    /// Price of holding the valve back at a tick: linear in the command below the open valve.
+    fn restraint(scenario: &Scenario, tape: &ClosedLoopTape, tick: usize) -> f64 {
+        let command = &tape.signals.command[tick];
+        let slope = loss::restraint_slope(scenario, &tape.pressure[tick], command, tick);
+        f64::from(slope.zip(command, |slope, u| slope * (u - COMMAND_MAX)).sum())
     }
 
     fn check(period_us: u32, scenario: &Scenario, model: &Model) {
@@ -360,6 +368,19 @@ mod tests {
         let config = StateSpaceConfig { states: 6, hidden: 8, ..StateSpaceConfig::for_period(1000, 1) };
         let model = model(Architecture::StateSpace(config));
         check(1000, &scenario(150), &model);
+    }
+
+    #[test]
+    fn the_gradient_of_the_price_of_restraint_agrees_with_finite_differences() {
+        let config = StateSpaceConfig { states: 6, hidden: 8, ..StateSpaceConfig::for_period(1000, 1) };
+        let model = model(Architecture::StateSpace(config));
+        let scenario = Scenario {
+            prescribed: Prescribed::square(150, Lane::splat(40.0), 5.0),
+            weight: Lane::ZERO,
+            restraint_price: 1.0,
+            ..scenario(150)
+        };
+        check(1000, &scenario, &model);
     }
 
     #[test]

@@ -101,7 +101,8 @@ pub struct Scenario {
     pub strain: Strain,
     /// Price of moving the valve late in the inspiration, cmH2O of error per percent of change per tick.
     pub effort_price: f32,
-    /// Price of holding the valve back while the pressure is far below its target, long after it should have reached it, per percent.
+    /// Price of holding the valve back while the pressure is far below its target, long after it should have reached it, cmH2O of error per
+    /// percent.
     pub restraint_price: f32,
     /// Sensor noise of each tick, cmH2O.
     pub noise: Vec<Lane>,

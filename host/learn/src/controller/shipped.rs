@@ -9,8 +9,8 @@
 //! trainer export out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
 //! ```
 //!
-//! Newborns get less ripple: twice as much would cost 2 % of error in later breaths. Today's training for more high PIPs gives them a
-//! lower error but loops that hunt on their plateaus, so the earlier weights stay.
+//! Newborns get less ripple: twice as much would cost 2 % of error in later breaths. With today's training, which has more high PIPs,
+//! margins could be measured and were kept on 3 of 20 newborns only, so the earlier weights stay.
 
 use shared::control::residual::Residual;
 use shared::weights::decode;
@@ -42,11 +42,10 @@ mod tests {
     use plant::bench::family::Family;
     use shared::breath::{DEFAULT_PERIOD_US, Phase, paper_settings};
     use shared::control::Controller;
-    use shared::settings::Settings;
-    use ventilator::{BenchSource, Source};
+    use ventilator::{BenchSource, Source, Tick};
 
-    /// Mean error of a breath at PIP 22 after breaths of these settings, over units of the family `adult`, cmH2O.
-    fn error_after(breaths: &[Settings]) -> f32 {
+    /// Mean error of a breath at PIP 22 after six at another, over units of the family `adult`, cmH2O.
+    fn error_after(pip: f32) -> f32 {
         let (family, law) =
             (Family::find("adult").unwrap(), Controller::Residual(residual("adult").unwrap()));
         let (mut sum, mut ticks) = (0.0, 0);
@@ -54,10 +53,10 @@ mod tests {
             let bench = family.draw(31, unit);
             let mut source =
                 BenchSource::new(&bench, law.clone(), &paper_settings(20.0), DEFAULT_PERIOD_US, 5).unwrap();
-            for settings in breaths {
-                source.breath(settings, &mut |_| ()).unwrap();
+            for _ in 0..6 {
+                source.breath(&paper_settings(pip), &mut |_| ()).unwrap();
             }
-            let mut add = |tick: &ventilator::Tick| {
+            let mut add = |tick: &Tick| {
                 if tick.sample.phase == Phase::Inspiration {
                     sum += (tick.truth.unwrap().airway_pressure - tick.sample.target).abs();
                     ticks += 1;
@@ -70,9 +69,7 @@ mod tests {
 
     #[test]
     fn a_small_step_of_pip_costs_less_than_half_of_what_a_first_breath_does() {
-        let settled = error_after(&[paper_settings(22.0); 6]);
-        let stepped = error_after(&[paper_settings(21.0); 6]);
-        let first = error_after(&[paper_settings(30.0); 6]);
+        let [settled, stepped, first] = [22.0, 21.0, 30.0].map(error_after);
         println!("settled {settled:.3}, after a step {stepped:.3}, forgotten {first:.3}");
         assert!(stepped - settled < 0.5 * (first - settled), "{settled} {stepped} {first}");
     }
