@@ -16,12 +16,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let family = Family::find(&arguments.next().unwrap_or_else(|| "adult".to_owned()))?;
     let iterations = arguments.next().map_or(Ok(6000), |count| count.parse())?;
-    let usual = family.prescriptions("paper")?;
+    let mut run = FamilyRun::of(&family, &family.prescriptions("paper")?);
+    run.train.iterations = iterations;
+    let units = run.fit_units(&family, None, &Progress::silent())?;
     println!("told       first breath, geometric mean, cmH2O");
     for told in [Told::Nothing, Told::Machine, Told::Unit] {
-        let mut run = FamilyRun::of(&family, &usual);
-        (run.train.iterations, run.train.told) = (iterations, Some(told));
-        let trained = run.run(&family, None, &Progress::silent())?;
+        run.train.told = Some(told);
+        let trained = run.train_on(&units, &family, None, &Progress::silent())?;
         println!("{told:<10?} {:.3}", trained.learned.origin.validation);
     }
     Ok(())

@@ -99,6 +99,12 @@ struct Claim {
     first: BenchConfig,
 }
 
+/// Simulators of the recorded units, those for validation last, and of the nominal machine.
+pub struct FittedUnits {
+    units: Vec<Simulator>,
+    nominal: Simulator,
+}
+
 impl FamilyRun {
     /// The default for a family and these prescriptions.
     pub fn of(family: &Family, prescriptions: &Prescriptions) -> Self {
@@ -127,14 +133,42 @@ impl FamilyRun {
             folder.claim(&Claim { run: self.clone(), first })?;
         }
         let folder = folder.map(|folder| of_round(folder, 0));
-        let units = self.units(family, folder.as_ref(), progress)?;
+        let fitted = self.fit_units(family, folder.as_ref(), progress)?;
+        self.train_on(&fitted, family, folder.as_ref(), progress)
+    }
+
+    /// Records the units and the nominal machine, and fits their simulators; those that the folder keeps stay as they are.
+    ///
+    /// # Errors
+    /// A unit that cannot be recorded, or a run that is stopped.
+    pub fn fit_units(
+        &self,
+        family: &Family,
+        folder: Option<&Workspace>,
+        progress: &Progress<'_>,
+    ) -> Result<FittedUnits, PipelineError> {
+        let units = self.units(family, folder, progress)?;
         let nominal = || self.nominal(family);
-        let nominal = kept(folder.as_ref(), "nominal.safetensors", progress.stopped(), nominal)?
+        let nominal = kept(folder, "nominal.safetensors", progress.stopped(), nominal)?
             .ok_or(PipelineError::Stopped)?;
+        Ok(FittedUnits { units, nominal })
+    }
+
+    /// Trains on fitted units.
+    ///
+    /// # Errors
+    /// A configuration that does not fit the units, or a checkpoint that cannot be written.
+    pub fn train_on(
+        &self,
+        FittedUnits { units, nominal }: &FittedUnits,
+        family: &Family,
+        folder: Option<&Workspace>,
+        progress: &Progress<'_>,
+    ) -> Result<TrainedOnce, PipelineError> {
         let config =
-            FamilyConfig { noise: noise(&units), seed: seeds::training(self.seed, 0), ..self.train.clone() };
-        let training = FamilyTraining::new(self.residual(), self.models(&units, &nominal), config, None)?;
-        train(training, format!("family {}", family.name), self.seed, folder.as_ref(), progress)
+            FamilyConfig { noise: noise(units), seed: seeds::training(self.seed, 0), ..self.train.clone() };
+        let training = FamilyTraining::new(self.residual(), self.models(units, nominal), config, None)?;
+        train(training, format!("family {}", family.name), self.seed, folder, progress)
     }
 
     /// The residual's fixed parts.
