@@ -117,6 +117,8 @@ pub enum Told {
     Machine,
     /// Resistance and compliance of the lung too.
     Unit,
+    /// All of them, but only from the 50th tick of the breath on: no student that learns within a breath knows them earlier.
+    Student,
 }
 
 /// Configuration of the training for a family.

@@ -316,9 +316,9 @@ mod tests {
         let usual = after_some_steps(&|_| ());
         assert!(usual != after_some_steps(&|config| config.plateau_share = 0.0), "plateaus");
         assert!(usual != after_some_steps(&|config| config.margin_price = 0.0), "price");
-        let [nothing, machine, unit] = [Told::Nothing, Told::Machine, Told::Unit]
+        let [nothing, machine, unit, student] = [Told::Nothing, Told::Machine, Told::Unit, Told::Student]
             .map(|told| after_some_steps(&|config| config.told = Some(told)));
-        assert!(nothing != machine && machine != unit, "oracle");
+        assert!(nothing != machine && machine != unit && unit != student, "oracle");
     }
 
     #[test]

@@ -23,8 +23,8 @@ pub struct Recall {
     bin_ticks: u32,
     bins: Vec<[Lane; 2]>,
     any: Lane,
-    /// What an oracle says in its place.
-    told: Option<[Lane; RECALLED]>,
+    /// What an oracle says in its place, and from which tick on.
+    told: Option<([Lane; RECALLED], usize)>,
 }
 
 impl LaneMemory {
@@ -64,15 +64,15 @@ impl LaneMemory {
 }
 
 impl Recall {
-    /// What an oracle says, the same at every tick.
-    pub(super) fn told(numbers: &[Lane; RECALLED]) -> Self {
-        Self { bin_ticks: 1, bins: Vec::new(), any: Lane::ZERO, told: Some(*numbers) }
+    /// What an oracle says, nothing before a tick and the same from then on.
+    pub(super) fn told(numbers: &[Lane; RECALLED], from: usize) -> Self {
+        Self { bin_ticks: 1, bins: Vec::new(), any: Lane::ZERO, told: Some((*numbers, from)) }
     }
 
     /// Writes what every lane recalls at a tick.
     pub(super) fn at(&self, tick: usize, out: &mut [Lane]) {
-        if let Some(numbers) = &self.told {
-            out.copy_from_slice(numbers);
+        if let Some((numbers, from)) = &self.told {
+            out.copy_from_slice(if tick < *from { &[Lane::ZERO; RECALLED] } else { numbers });
             return;
         }
         let now = since_first(tick as u32, self.bin_ticks);

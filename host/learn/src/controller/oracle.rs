@@ -9,15 +9,19 @@ use crate::simulator::model::Model;
 use crate::simulator::unit::{MACHINE_NUMBERS, UNIT_NUMBERS, scaled};
 use engine::Lane;
 
+/// Ticks of a breath in which a student learns its unit.
+const STUDENT_TICKS: usize = 50;
+
 /// Tells the breaths of a scenario on a model of units what an oracle says.
 pub(super) fn tell(told: Told, model: &Model, scenario: &mut Scenario) {
-    let known = match told {
-        Told::Nothing => 0,
-        Told::Machine => MACHINE_NUMBERS,
-        Told::Unit => UNIT_NUMBERS,
+    let (known, from) = match told {
+        Told::Nothing => (0, 0),
+        Told::Machine => (MACHINE_NUMBERS, 0),
+        Told::Unit => (UNIT_NUMBERS, 0),
+        Told::Student => (UNIT_NUMBERS, STUDENT_TICKS),
     };
     let start = &scenario.start;
     let of = |l: usize| scaled(model.parameters(), start.ventilator[l], start.group[l]);
     let numbers = std::array::from_fn(|n| if n < known { Lane::from_fn(|l| of(l)[n]) } else { Lane::ZERO });
-    scenario.memory = Some(Recall::told(&numbers));
+    scenario.memory = Some(Recall::told(&numbers, from));
 }
