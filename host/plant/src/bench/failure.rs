@@ -21,12 +21,16 @@ pub enum Failure {
     TubeNarrowed(f64),
     /// Clogged expiratory filter: almost no flow.
     FilterClogged,
+    /// Partly clogged expiratory filter: this share of the flow is left.
+    FilterNarrowed(f64),
     /// Disconnected tube.
     Disconnected,
     /// A leak of this flow in L/s at 30 cmH2O.
     Leak(f64),
     /// The stem of the inspiratory valve is stuck at this percentage.
     InspiratoryValveStuck(f64),
+    /// The stem of the inspiratory valve lags by this backlash, percent of the full command.
+    ValveLoose(f64),
     /// The stem of the inspiratory valve is stuck at this percentage, and the expiratory valve stays closed.
     BothValvesStuck(f64),
     /// The expiratory valve stays closed.
@@ -46,9 +50,11 @@ impl Bench {
             Failure::TubeOccluded => self.lung.occlude(OCCLUDED),
             Failure::TubeNarrowed(factor) => self.lung.occlude(factor),
             Failure::FilterClogged => self.expiratory.clog(CLOGGED),
+            Failure::FilterNarrowed(share) => self.expiratory.clog(share),
             Failure::Disconnected => self.circuit.fail(OPEN_END_L_PER_S),
             Failure::Leak(flow) => self.circuit.fail(flow),
             Failure::InspiratoryValveStuck(percent) => self.valve.stick_at(percent),
+            Failure::ValveLoose(percent) => self.valve.loosen(percent),
             Failure::BothValvesStuck(percent) => {
                 self.valve.stick_at(percent);
                 self.expiratory.stay_closed();
@@ -110,6 +116,8 @@ mod tests {
         let narrowed = with(Failure::TubeNarrowed(3.0)).0;
         assert!(narrowed > plateau + 1.0 && narrowed < with(Failure::TubeOccluded).0, "{narrowed} {plateau}");
         assert!(with(Failure::FilterClogged).1 > rest + 3.0);
+        let slow = with(Failure::FilterNarrowed(0.05)).1;
+        assert!(slow > rest + 0.5 && slow < with(Failure::FilterClogged).1, "{slow} {rest}");
         assert!(with(Failure::Disconnected).0 < 2.0);
         assert!(with(Failure::Leak(0.2)).0 < plateau - 0.8);
         assert!(with(Failure::Leak(0.5)).0 < with(Failure::Leak(0.2)).0 - 0.8);
@@ -145,6 +153,7 @@ mod tests {
             Failure::TubeOccluded,
             Failure::TubeNarrowed(3.0),
             Failure::FilterClogged,
+            Failure::FilterNarrowed(0.05),
             Failure::Disconnected,
             Failure::Leak(0.5),
             Failure::InspiratoryValveStuck(60.0),
@@ -160,6 +169,21 @@ mod tests {
             assert!(off(0).max(off(1)) > 0.8, "{failure:?}: {found:?}");
             assert!(off(2).max(off(3)) < 0.05, "{failure:?}: {found:?} {sound:?}");
         }
+    }
+
+    #[test]
+    fn a_loose_valve_gives_more_than_a_lower_command_asks_for_until_it_is_restored() {
+        let lowered = |bench: &mut Bench| {
+            hold(bench, 40.0, true, 300);
+            hold(bench, 20.0, true, 300);
+            bench.truth().flow_valve
+        };
+        let mut bench = bench();
+        let sound = lowered(&mut bench);
+        bench.fail(Failure::ValveLoose(15.0));
+        assert!(lowered(&mut bench) > 1.3 * sound);
+        bench.restore();
+        assert!((lowered(&mut bench) / sound - 1.0).abs() < 0.01);
     }
 
     #[test]

@@ -43,6 +43,7 @@ mod drive;
 mod expiratory;
 mod failure;
 pub mod family;
+mod faults;
 mod flow_sensor;
 mod lag;
 mod lung;
@@ -63,9 +64,9 @@ pub use presets::is_neonatal;
 pub use step::{LEAST_SUB_STEPS, STEP_S, STEP_US};
 
 pub use config::{
-    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, FlowSensorConfig,
-    LeakChange, LungConfig, OutletSensorConfig, PEEP_RANGE_CMH2O, PatientConfig, SensorConfig, UnitConfig,
-    ValveConfig,
+    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, Distortion, ExpiratoryConfig, FaultConfig,
+    Faulty, FlowSensorConfig, LeakChange, LungConfig, OutletSensorConfig, PEEP_RANGE_CMH2O, PatientConfig,
+    Repeats, SensorConfig, Signal, Strain, UnitConfig, ValveConfig,
 };
 
 use rand_chacha::ChaCha8Rng;
@@ -75,6 +76,7 @@ use crate::TickTruth;
 use branch::Junction;
 use circuit::Circuit;
 use expiratory::Expiratory;
+use faults::Faults;
 use flow_sensor::FlowSensor;
 use lung::Lung;
 use outlet_sensor::OutletSensor;
@@ -163,6 +165,7 @@ pub struct Bench {
     outlet: Option<OutletSensor>,
     flow: Option<FlowSensor>,
     patient: Patient,
+    faults: Faults,
     flows: Flows,
 }
 
@@ -204,6 +207,7 @@ impl Bench {
             outlet: OutletSensor::new(&config.outlet_sensor, peep, stream(seed, OUTLET_STREAM)),
             flow: FlowSensor::new(&config.flow_sensor, stream(seed, FLOW_STREAM)),
             patient: Patient::new(config.patient, seed),
+            faults: Faults::new(&config.faults, seed),
             flows: Flows::default(),
         })
     }
@@ -241,6 +245,9 @@ impl Bench {
             self.lung.change(resistance_factor, compliance_factor);
         }
         let now = self.time_s();
+        if !self.faults.are_none() {
+            self.run_faults(now, u_out);
+        }
         let muscle_pressure = self.patient.muscle_pressure(now);
         self.circuit.change_leak(now);
         if let Some(factor) = self.patient.secretions(now) {
@@ -262,19 +269,27 @@ impl Bench {
         if let Some(sensor) = &mut self.flow {
             sensor.advance((self.flows.lung + self.flows.leak) * self.share);
         }
-        self.sensor.sample(self.unit.offset_after(self.steps))
+        let reading = self.sensor.sample(self.unit.offset_after(self.steps));
+        self.distorted(Signal::Airway, reading)
+    }
+
+    /// A sensor's reading, after the faults that are present.
+    fn distorted(&mut self, signal: Signal, reading: f32) -> f32 {
+        if self.faults.are_none() { reading } else { self.faults.reading(signal, reading, self.time_s()) }
     }
 
     /// The sample of the last step from the sensor at the machine's outlet, cmH2O; NaN if there is none. A bench that
     /// has not run yet has a sample too. Its noise is drawn only when it is asked for.
     pub fn outlet_reading(&mut self) -> f32 {
-        self.outlet.as_mut().map_or(f32::NAN, |outlet| outlet.sample(self.steps))
+        let reading = self.outlet.as_mut().map_or(f32::NAN, |outlet| outlet.sample(self.steps));
+        self.distorted(Signal::Outlet, reading)
     }
 
     /// The sample of the last step from the flow sensor at the airway opening, L/s, positive towards the patient; NaN
     /// if there is none. A bench that has not run yet has a sample too. Its noise is drawn only when it is asked for.
     pub fn flow_reading(&mut self) -> f32 {
-        self.flow.as_mut().map_or(f32::NAN, FlowSensor::sample)
+        let reading = self.flow.as_mut().map_or(f32::NAN, FlowSensor::sample);
+        self.distorted(Signal::Flow, reading)
     }
 
     /// Moves the gas for one sub-step.

@@ -1,6 +1,6 @@
 //! Patient: efforts, coughs, secretions, and a lung that changes from a given breath on.
 
-use super::config::PatientConfig;
+use super::config::{PatientConfig, Strain};
 use super::coughs::Coughs;
 use super::drive::Drive;
 use super::pulse::pulse;
@@ -20,6 +20,8 @@ pub(super) struct Patient {
     /// Absent for efforts that are all the same, or none.
     drive: Option<Drive>,
     coughs: Coughs,
+    /// The last strain, and when it began, s.
+    strain: Option<(Strain, f64)>,
 }
 
 impl Patient {
@@ -29,6 +31,7 @@ impl Patient {
         Self {
             drive: Drive::new(&config, stream(seed, DRIVE_STREAM)),
             coughs: Coughs::new(&config, stream(seed, COUGH_STREAM)),
+            strain: None,
             config,
             venting: true,
             breath: 0,
@@ -38,6 +41,11 @@ impl Patient {
     /// Adds a cough at this time, s.
     pub(super) fn cough(&mut self, peak: f64, at_s: f64) {
         self.coughs.add(peak, at_s);
+    }
+
+    /// Strains, or draws in gas, from this time on, s; it replaces a strain that has not ended.
+    pub(super) fn strain(&mut self, strain: Strain, at_s: f64) {
+        self.strain = Some((strain, at_s));
     }
 
     /// Counts the breath if one starts; returns the factors on resistance and compliance if they change now.
@@ -78,6 +86,9 @@ impl Patient {
         } else if config.effort_cmh2o > 0.0 {
             pressure +=
                 config.effort_cmh2o * pulse(self.since_regular_start_s(time_s), config.effort_duration_s);
+        }
+        if let Some((strain, at_s)) = self.strain {
+            pressure -= strain.cmh2o * pulse(time_s - at_s, strain.duration_s);
         }
         pressure - self.coughs.pressure(time_s)
     }

@@ -91,7 +91,9 @@ impl Characteristic {
 pub(super) struct Valve {
     dead_time: DeadTime,
     actuator: Lag,
+    /// Backlash, and that of a valve without a failure, percent.
     play: f64,
+    sound_play: f64,
     stem: f64,
     characteristic: Characteristic,
     full_flow_l_s: f64,
@@ -116,6 +118,7 @@ impl Valve {
             dead_time: DeadTime::new(dead_time_ms, sub_steps),
             actuator: Lag::new(config.lag_ms * 1e-3, sub_step_s, 0.0),
             play: config.backlash_percent,
+            sound_play: config.backlash_percent,
             stem: 0.0,
             characteristic: Characteristic::new(config.dead_zone_percent, config.curve_exponent),
             full_flow_l_s,
@@ -130,14 +133,19 @@ impl Valve {
         (self.stem, self.stuck) = (percent, true);
     }
 
+    /// Gives the stem this backlash, percent.
+    pub(super) fn loosen(&mut self, percent: f64) {
+        self.play = percent;
+    }
+
     /// Leaves this share of the flow that the gas supply normally gives.
     pub(super) fn supply(&mut self, share: f64) {
         self.full_flow_l_s = share * self.supplied_flow_l_s;
     }
 
-    /// Ends every failure: the stem follows the actuator again, the supply is back.
+    /// Ends every failure: the stem follows the actuator as before, the supply is back.
     pub(super) fn repair(&mut self) {
-        (self.stuck, self.full_flow_l_s) = (false, self.supplied_flow_l_s);
+        (self.stuck, self.play, self.full_flow_l_s) = (false, self.sound_play, self.supplied_flow_l_s);
     }
 
     /// Takes the command of a new step, in percent. A command outside the driver's range is limited; one that is not a

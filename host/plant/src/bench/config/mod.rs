@@ -1,9 +1,11 @@
 //! Parameters of the virtual bench: defaults, allowed ranges, TOML.
 
+mod fault;
 mod machine;
 mod patient;
 mod sensors;
 
+pub use fault::{Distortion, FaultConfig, Faulty, Repeats, Signal, Strain};
 pub use machine::{CircuitConfig, ExpiratoryConfig, LeakChange, UnitConfig, ValveConfig};
 pub(super) use patient::MOST_EFFORT_CMH2O;
 pub use patient::{CompartmentConfig, LungConfig, PatientConfig};
@@ -46,6 +48,14 @@ pub enum BenchError {
         at_s: f64,
         /// Time of the change before it, s.
         before_s: f64,
+    },
+    /// A fault ends before it begins, or recurs before it has ended.
+    #[error("faults[{place}] {problem}")]
+    FaultTimes {
+        /// Place of the fault in the list; the first is 0.
+        place: usize,
+        /// What is wrong, and what to do.
+        problem: &'static str,
     },
     /// The control period is not a multiple of the bench's step.
     #[error("the control period must be a multiple of the bench's step of {STEP_US} us, not {period_us} us")]
@@ -98,6 +108,9 @@ pub struct BenchConfig {
     pub unit: UnitConfig,
     /// Patient.
     pub patient: PatientConfig,
+    /// Faults that begin at stated times; usually none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub faults: Vec<FaultConfig>,
 }
 
 impl Default for BenchConfig {
@@ -114,6 +127,7 @@ impl Default for BenchConfig {
             flow_sensor: FlowSensorConfig::default(),
             unit: UnitConfig::default(),
             patient: PatientConfig::default(),
+            faults: Vec::new(),
         }
     }
 }
@@ -150,7 +164,7 @@ impl BenchConfig {
     ///
     /// # Errors
     /// [`BenchError::OutOfRange`] for the first field that violates this; [`BenchError::LeakOrder`] for changes of the
-    /// leak that are not in the order of their times.
+    /// leak that are not in the order of their times; [`BenchError::FaultTimes`] for a fault without a time.
     pub fn validate(&self) -> Result<(), BenchError> {
         let Self {
             name: _,
@@ -164,6 +178,7 @@ impl BenchConfig {
             flow_sensor,
             unit,
             patient,
+            faults,
         } = self;
         check("sub_steps", f64::from(*sub_steps), f64::from(LEAST_SUB_STEPS)..=64.0)?;
         valve.validate()?;
@@ -174,7 +189,8 @@ impl BenchConfig {
         outlet_sensor.validate()?;
         flow_sensor.validate()?;
         unit.validate()?;
-        patient.validate()
+        patient.validate()?;
+        faults.iter().enumerate().try_for_each(|(place, fault)| fault.validate(place))
     }
 }
 
