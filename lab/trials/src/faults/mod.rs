@@ -1,6 +1,7 @@
 //! Faults on the virtual bench: does the right monitor fire in time, and does the true pressure stay within its bound?
 
 pub mod cases;
+pub mod draw;
 #[cfg(test)]
 mod frozen_tests;
 pub(crate) mod hostile;

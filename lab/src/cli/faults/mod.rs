@@ -1,4 +1,6 @@
-//! `lab faults`: the fault matrix on the virtual bench.
+//! `lab faults`: the fault matrix on the virtual bench, and drawn faults.
+
+mod drawn;
 
 use std::path::PathBuf;
 
@@ -7,9 +9,11 @@ use serde::Serialize;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::safety::monitors::Monitors;
 
+use drawn::{DrawArgs, DrawnSummary};
+
 use data::provenance::Provenance;
 use host::args::bench::benches;
-use host::command::{Command, Context, Makes, Output, OutputArgs};
+use host::command::{Command, Context, Output, OutputArgs};
 use plant::bench::BenchConfig;
 use show::report::{Block, Cell, Report, Section, Table};
 use trials::faults::cases::{LIMIT, LIMITS};
@@ -26,13 +30,22 @@ Examples:
   lab faults --without reading-frozen --bench R20C20    # the rows that need this monitor
   lab faults --mutate                                   # the same for each monitor and response
   lab faults --nominal 10000                            # false alarms with effort and coughs
+  lab faults --draw 10000 --seed 7 --save-failures out/failures    # any fault, any machine, any patient
+  lab faults --case out/failures/pressure-12.toml       # one of these again
+  lab faults --draw 1000 --without reading-frozen       # how much a monitor is needed
 
 A row passes if its monitors fire under every seed, ventilation goes on (80 % of the volume of a
 sound machine, no gap longer than two breaths) unless no command can move the gas, the venting
 command follows within 200 ms of a reading above the limit, and the true airway pressure stays
 below its bound: 20 cmH2O above the limit, but never more than the 75 cmH2O that the relief valve
-allows. Patients who breathe and changes of the settings must raise no high-priority alarm. The
-command fails if a row fails.")]
+allows. Patients who breathe and changes of the settings must raise no high-priority alarm.
+
+A drawn case is a machine, a patient, a prescription, a controller and one to three faults. It must
+keep four promises: the pressure is never more than 15 cmH2O above its limit for longer than 300 ms
+where the valves obey; the patient gets 80 % of what the machine can still give, or a high-priority
+alarm names the cause within two breaths or 15 s, and a loss of a third of the volume is an alarm
+within a minute; nothing is latched unless a valve does not obey; and no high-priority alarm comes
+without a reason. The command fails if a row fails or a case breaks a promise.")]
 pub struct Args {
     /// Virtual bench: a lung as in R20C20, `paper` for its nine lungs, or a TOML file; repeat it for more
     #[arg(long, value_name = "LUNG|FILE", default_value = "paper")]
@@ -56,6 +69,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
     #[command(flatten)]
+    drawn: DrawArgs,
+    #[command(flatten)]
     output: OutputArgs,
 }
 
@@ -69,28 +84,46 @@ pub fn limit(text: &str) -> Result<f32, String> {
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-pub struct Summary {
-    rows: Vec<FaultRow>,
+#[serde(untagged)]
+pub enum Summary {
+    /// The rows of the matrix.
+    Matrix {
+        /// Them.
+        rows: Vec<FaultRow>,
+    },
+    /// Drawn cases.
+    Drawn(DrawnSummary),
 }
 
 impl Command for Args {
     type Outcome = Summary;
 
     fn output(&self) -> Output<'_> {
-        self.output.makes(Makes::Experiment)
+        self.output.makes(self.drawn.shards.makes())
     }
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        let without = self.without.as_deref().map(named).transpose()?;
+        if let Some(file) = &self.drawn.case {
+            return drawn::one(file, without, context).map(|()| None);
+        }
+        if let Some(cases) = self.drawn.draw {
+            return Ok(self.drawn.run(cases, without, context)?.map(Summary::Drawn));
+        }
         let lungs = benches(&self.bench)?;
         match (self.nominal, self.mutate) {
             (Some(breaths), _) => nominal(&lungs, breaths, context).map(|()| None),
             (None, true) => mutate(self, &lungs, context).map(|()| None),
-            (None, false) => faults(self, &lungs, context).map(Some),
+            (None, false) => faults(self, without, &lungs, context).map(Some),
         }
     }
 
     fn conclude(&self, outcome: Summary, context: &Context<'_>) -> anyhow::Result<()> {
-        let (failed, all) = (outcome.rows.iter().filter(|row| !row.pass).count(), outcome.rows.len());
+        let rows = match outcome {
+            Summary::Matrix { rows } => rows,
+            Summary::Drawn(drawn) => return drawn.conclude(context),
+        };
+        let (failed, all) = (rows.iter().filter(|row| !row.pass).count(), rows.len());
         if failed > 0 {
             bail!("{failed} of {all} rows failed");
         }
@@ -99,16 +132,18 @@ impl Command for Args {
     }
 }
 
-fn faults(args: &Args, lungs: &[BenchConfig], context: &Context<'_>) -> anyhow::Result<Summary> {
-    let monitors = match &args.without {
-        Some(name) => named(name)?.others(),
-        None => Monitors::ALL,
-    };
+fn faults(
+    args: &Args,
+    without: Option<Part>,
+    lungs: &[BenchConfig],
+    context: &Context<'_>,
+) -> anyhow::Result<Summary> {
+    let monitors = without.map_or(Monitors::ALL, Part::others);
     let rows = context.progress(|progress| matrix(lungs, &args.seeds, args.limit, monitors, progress))?;
     let table = table(&rows);
     context.table(&table);
     context.report(args.report.as_ref(), || Ok(report(table, args.limit)))?;
-    Ok(Summary { rows })
+    Ok(Summary::Matrix { rows })
 }
 
 fn mutate(args: &Args, lungs: &[BenchConfig], context: &Context<'_>) -> anyhow::Result<()> {

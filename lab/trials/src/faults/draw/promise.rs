@@ -1,0 +1,134 @@
+//! The four promises, and whether a case keeps them.
+//!
+//! A case runs three times at most: as it is, without its faults, and with those alone that limit what the machine can do. The volume
+//! is judged window by window, each two breaths or 15 s long.
+
+use serde::{Deserialize, Serialize};
+use shared::safety::alarms::{Fault, Priority};
+use shared::safety::indications::FaultSet;
+use shared::safety::monitors::Monitors;
+
+use super::case::Case;
+use super::run::{Observed, Window, all_known, run, sound};
+use crate::endure::deserved::Verdict;
+use ventilator::SourceError;
+
+/// Longest time far above the limit, ms.
+const ABOVE_MS: u32 = 300;
+/// Share of the volume that the machine can still give.
+const SHARE: f64 = 0.8;
+/// Share of the volume before a fault of machine or patient below which breaths have become small, and windows after which an alarm
+/// must say so: a minute.
+const SMALL: f64 = 2.0 / 3.0;
+const SMALL_WINDOWS: usize = 4;
+
+/// A promise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Promise {
+    /// Where the valves obey, the pressure is never more than 15 cmH2O above its limit for longer than 300 ms.
+    Pressure,
+    /// The patient gets 80 % of what the machine can still give, or a high-priority alarm names the cause within two breaths or 15 s;
+    /// and a loss of a third to a fault of machine or patient is an alarm within a minute.
+    Volume,
+    /// Nothing is latched unless a valve, or the way out, does not obey.
+    NoLatch,
+    /// No high-priority alarm comes that neither the truth deserves nor a fault explains.
+    NoFalseAlarm,
+}
+
+impl Promise {
+    /// All promises.
+    pub const ALL: [Self; 4] = [Self::Pressure, Self::Volume, Self::NoLatch, Self::NoFalseAlarm];
+
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pressure => "pressure",
+            Self::Volume => "volume or alarm",
+            Self::NoLatch => "no needless latch",
+            Self::NoFalseAlarm => "no false high alarm",
+        }
+    }
+}
+
+/// A promise that a case broke, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Broken {
+    /// The promise.
+    pub promise: Promise,
+    /// What happened, in words.
+    pub how: String,
+}
+
+/// The promises that a case breaks with these monitors and responses.
+///
+/// # Errors
+/// A case that cannot be run.
+pub fn broken(case: &Case, monitors: Monitors) -> Result<Vec<Broken>, SourceError> {
+    let onset_s = case.onset_s();
+    let seen = run(case, onset_s, monitors)?;
+    let (sound_case, able_case) = (sound(case), all_known(case));
+    let without = run(&sound_case, onset_s, Monitors::ALL)?;
+    let able = match &able_case {
+        able if able == &sound_case => without.clone(),
+        able if able == case => seen.clone(),
+        able => run(able, onset_s, Monitors::ALL)?,
+    };
+    let found = [
+        (seen.above_ms > ABOVE_MS && !case.disobeys())
+            .then(|| (Promise::Pressure, format!("{} ms above, peak {:.0} cmH2O", seen.above_ms, seen.peak))),
+        starved(case, &seen, &able, &without).map(|how| (Promise::Volume, how)),
+        latched(case, &seen).map(|how| (Promise::NoLatch, how)),
+        false_alarm(case, &seen).map(|how| (Promise::NoFalseAlarm, how)),
+    ];
+    Ok(found.into_iter().flatten().map(|(promise, how)| Broken { promise, how }).collect())
+}
+
+fn latched(case: &Case, seen: &Observed) -> Option<String> {
+    let (fault, time_s) = seen.latched.filter(|_| !case.disobeys())?;
+    Some(format!("{} latched at {time_s:.1} s", fault.alarm().id))
+}
+
+fn false_alarm(case: &Case, seen: &Observed) -> Option<String> {
+    let undeserved = |(fault, time_s, verdict): &&(Fault, f64, Verdict)| {
+        let explained = *time_s >= case.onset_s() && case.is_named_by(*fault);
+        fault.alarm().priority == Priority::High && *verdict == Verdict::Undeserved && !explained
+    };
+    let (fault, time_s, _) = seen.alarms.iter().find(undeserved)?;
+    Some(format!("{} at {time_s:.1} s", fault.alarm().id))
+}
+
+/// Whether the patient gets too little without an alarm that says why.
+fn starved(case: &Case, seen: &Observed, able: &Observed, sound: &Observed) -> Option<String> {
+    let named = |window: &Window, least: Priority| {
+        let names = |fault: &Fault| fault.alarm().priority >= least && case.is_named_by(*fault);
+        faults(window.present).any(|fault| names(&fault))
+    };
+    // The last window may be short, and there is none after it in which an alarm could come.
+    let whole = seen.windows.len().min(able.windows.len()).min(sound.windows.len()).saturating_sub(2);
+    let share =
+        |of: &Observed, place: usize| seen.windows[place].volume_ml / of.windows[place].volume_ml.max(1e-9);
+    for place in 0..whole {
+        let told = (place..=place + 1).any(|near| named(&seen.windows[near], Priority::High));
+        if share(able, place) < SHARE && !told {
+            return Some(format!(
+                "{:.0} % of what could be given, window {place}",
+                100.0 * share(able, place)
+            ));
+        }
+    }
+    for start in 0..(whole + 1).saturating_sub(SMALL_WINDOWS) {
+        let minute = start..start + SMALL_WINDOWS;
+        let small = minute.clone().all(|place| share(sound, place) < SMALL);
+        if small && !minute.clone().any(|place| named(&seen.windows[place], Priority::Medium)) {
+            let least = minute.map(|place| share(sound, place)).fold(f64::INFINITY, f64::min);
+            return Some(format!("breaths of {:.0} % for a minute without an alarm", 100.0 * least));
+        }
+    }
+    None
+}
+
+fn faults(set: FaultSet) -> impl Iterator<Item = Fault> {
+    set.faults()
+}
