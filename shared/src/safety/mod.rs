@@ -6,6 +6,7 @@
 //! | [`filter`] | the valve command, which this module alone can make |
 //! | [`supervisor`] | everything between a controller's output and the valves |
 //! | [`source`] | chooses the pressure sensor that is believed |
+//! | [`plateau`] | compares the pressure sensors at the end of inspirations |
 //! | [`reading_monitor`] | checks that a sensor works |
 //! | [`expected`] | the change of the pressure that the commands must bring |
 //! | [`pressure_monitor`] | checks that the pressure is within its limits |
@@ -36,6 +37,7 @@ pub mod ladder;
 pub mod leak;
 pub mod lung_estimator;
 pub mod monitors;
+pub mod plateau;
 pub mod pressure_monitor;
 pub mod reading_monitor;
 pub mod responses;

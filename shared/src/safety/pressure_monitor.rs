@@ -59,6 +59,14 @@ pub struct PressureState {
     stays: u32,
 }
 
+impl PressureState {
+    /// The next reading does not continue the last one: another sensor is believed, or readings are missing between them. A step
+    /// from one to the other is no slope.
+    pub fn interrupted(&mut self) {
+        self.last = None;
+    }
+}
+
 /// Input of the monitor in one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PressureInput {
@@ -196,6 +204,22 @@ mod tests {
         let mut state =
             PressureState { last: Some(32.1), slope: 1.0, ahead_above: 2, ..PressureState::default() };
         assert_eq!(monitor.check(&mut state, &tick(33.1)), PressureFinding::EndInspiration);
+    }
+
+    #[test]
+    fn a_step_from_one_sensor_to_another_is_no_slope() {
+        let (monitor, mut state) = (PressureMonitor::new(1000, Monitors::ALL), PressureState::default());
+        let mut ends = |pressure, interrupted| {
+            if interrupted {
+                state.interrupted();
+            }
+            let input = PressureInput { pressure, limit: LIMIT, peep: 5.0, venting: false };
+            monitor.check(&mut state, &input) == PressureFinding::EndInspiration
+        };
+        assert!(!(0..100).any(|_| ends(10.0, false)));
+        assert!(!ends(26.0, true) && !(0..100).any(|_| ends(26.0, false)));
+        assert!(!ends(10.0, true) && !(0..100).any(|_| ends(10.0, false)));
+        assert!(!ends(26.0, false) && !ends(26.0, false) && ends(26.0, false), "one sensor alone has risen");
     }
 
     #[test]

@@ -11,6 +11,7 @@
 use super::alarms::Fault;
 use super::expected::Expected;
 use super::monitors::{Monitors, in_a_row, ticks};
+use super::plateau::{Judgement, Plateau};
 use super::reading_monitor::{Believed, ReadingMonitor, ReadingState};
 use super::responses::Response;
 use super::windows::Windows;
@@ -32,8 +33,6 @@ pub const DOUBTFUL_BREATHS: u32 = 2;
 pub const AGREE: f32 = 1.0;
 /// Breaths in a row with so small a difference after which both are used again.
 pub const AGREED_BREATHS: u32 = 3;
-/// Difference at the end of the inspiration up to which they agree, cmH2O: there may still be flow in the tube.
-const AGREE_AT_PLATEAU: f32 = 5.0;
 /// Change of the other sensor, beyond that of the drop in the tube, with which a sensor cannot stand still, cmH2O.
 pub const MOVED: f32 = 2.0;
 /// Time constant of the smoothed readings, s: noise alone must not look like a change.
@@ -126,12 +125,14 @@ pub struct SourceState {
     airway: SensorState,
     outlet: SensorState,
     apart: u32,
-    /// Readings of airway and outlet in the windows of the expiration.
-    rest: Windows<2>,
+    /// Whether the last tick believed a fresh reading, and if so, whether it was the outlet's.
+    believed_outlet: Option<bool>,
+    /// Distances in the windows of the expiration: of airway and outlet from each other, and of each from PEEP. Distances, so that a
+    /// hum does not look like its mean.
+    rest: Windows<3>,
     doubtful: u32,
     agreed: u32,
-    /// Whether they agreed at the end of the inspiration.
-    agreed_at_plateau: bool,
+    plateau: Plateau,
 }
 
 /// The pressure to control with, cmH2O.
@@ -163,6 +164,8 @@ impl Reading {
 pub struct Chosen {
     /// What the sensor in use reads.
     pub reading: Reading,
+    /// Whether a fresh reading follows one of the same sensor in the last tick.
+    pub continues: bool,
     /// Whether two sound sensors differ by more than a small flow explains.
     pub doubtful: bool,
     /// Findings about the airway sensor, the outlet sensor and their difference.
@@ -200,8 +203,9 @@ impl PressureSource {
             .map(|(sensor, other)| self.must_change(sensor, other, expected, flow));
         let airway = self.judge(&mut state.airway, readings.airway, breathes, moves[0]);
         if !state.outlet.exists() && readings.outlet.is_nan() {
-            let findings = [airway.fault, None, None];
-            return Chosen { reading: state.airway.read(airway), findings, ..Chosen::default() };
+            let (findings, reading) = ([airway.fault, None, None], state.airway.read(airway));
+            let continues = state.continues(reading, false);
+            return Chosen { reading, continues, findings, ..Chosen::default() };
         }
         let outlet = self.judge(&mut state.outlet, readings.outlet, breathes, moves[1]);
         let smooth = [state.airway.smooth, state.outlet.smooth];
@@ -227,7 +231,9 @@ impl PressureSource {
         let replaced = airway.fault.filter(|fault| is_replaced && *fault == Fault::ReadingNoisy);
         let airway_fault = airway.fault.filter(|_| replaced.is_none());
         let findings = [airway_fault, outlet_fault, disagree.then_some(Fault::SensorsDisagree)];
-        Chosen { reading: sensor.read(believed), doubtful: both && apart > DOUBTFUL, findings, replaced }
+        let reading = sensor.read(believed);
+        let continues = state.continues(reading, use_outlet);
+        Chosen { reading, continues, doubtful: both && apart > DOUBTFUL, findings, replaced }
     }
 
     /// Whether the reading of a sensor cannot stay the same: the other one has moved by more than the drop in the tube, or
@@ -260,21 +266,40 @@ impl PressureSource {
         Believed { fault, ..believed }
     }
 
-    /// Records the readings of a tick of a breath, for [`Self::compare`]; `window` is the length of its means, ticks.
+    /// Records the readings of a tick of a breath in which the valve gives this flow, L/s, for [`Self::compare`] and
+    /// [`Self::at_plateau`]; `window` is the length of their means, ticks.
     #[inline]
-    pub fn record(&self, state: &mut SourceState, moment: &Moment, window: u32, readings: &Readings) {
-        let finite = readings.airway.is_finite() && readings.outlet.is_finite();
+    pub fn record(
+        &self,
+        state: &mut SourceState,
+        moment: &Moment,
+        window: u32,
+        readings: &Readings,
+        flow: f32,
+    ) {
+        let (airway, outlet, peep) = (readings.airway, readings.outlet, moment.settings().peep);
+        let both = state.airway.exists() && state.outlet.exists() && airway.is_finite() && outlet.is_finite();
+        if moment.inspires() {
+            state.plateau.add(moment, window, both.then_some([airway, outlet, flow]));
+        }
         // While the pressure falls, much gas flows between the sensors.
         let near_end = moment.left() <= window;
-        let both = state.airway.exists() && state.outlet.exists() && finite;
         let both = both && (near_end || moment.phase == Phase::Expiration);
-        let values = both.then_some([readings.airway, readings.outlet]);
-        state.rest.add(moment, window, values);
+        let distances = || [(airway - outlet).abs(), (airway - peep).abs(), (outlet - peep).abs()];
+        state.rest.add(moment, window, both.then(distances));
     }
 
-    /// Compares the sensors at the end of an inspiration.
-    pub fn at_plateau(&self, state: &mut SourceState, readings: &Readings) {
-        state.agreed_at_plateau = (readings.airway - readings.outlet).abs() <= AGREE_AT_PLATEAU;
+    /// Compares the sensors at the end of an inspiration from this PEEP, cmH2O, that delivered this volume, mL; true if one of them is
+    /// wrong.
+    pub fn at_plateau(&self, state: &mut SourceState, peep: f32, volume: f32) -> bool {
+        let compares = self.enabled.has(Fault::SensorsDisagree) && !state.is_one_lost();
+        let Some(judgement) = state.plateau.judge(peep, volume).filter(|_| compares) else { return false };
+        match judgement {
+            Judgement::Agree | Judgement::Apart => return false,
+            Judgement::AirwayWrong => (state.airway.doubted, state.outlet.doubted) = (true, false),
+            Judgement::OutletWrong => (state.airway.doubted, state.outlet.doubted) = (false, true),
+        }
+        true
     }
 
     /// Judges the sensors when the pressure does not respond to the gas of this flow, L/s: the one that responded less is
@@ -289,23 +314,21 @@ impl PressureSource {
         state.airway.doubted || state.outlet.doubted
     }
 
-    /// Compares the sensors at the end of an expiration at this PEEP, cmH2O, and flow of the valve, L/s; true if one of them is
-    /// wrong. `triggered`: an effort ends it early.
-    pub fn compare(&self, state: &mut SourceState, peep: f32, flow: f32, triggered: bool) -> bool {
+    /// Compares the sensors at the end of an expiration at this flow of the valve, L/s; true if one of them is wrong. `triggered`: an
+    /// effort ends it early.
+    pub fn compare(&self, state: &mut SourceState, flow: f32, triggered: bool) -> bool {
         let means = if triggered { state.rest.before() } else { state.rest.last() };
-        let lost = [&state.airway, &state.outlet].iter().any(|sensor| sensor.condition == Condition::Lost);
-        let Some([airway, outlet]) = means.filter(|_| !lost) else {
+        let Some([apart, airway, outlet]) = means.filter(|_| !state.is_one_lost()) else {
             return false;
         };
-        let apart = (airway - outlet).abs();
         state.doubtful = in_a_row(state.doubtful, apart > DOUBTFUL + TUBE * flow);
-        state.agreed = in_a_row(state.agreed, apart <= AGREE && state.agreed_at_plateau);
+        state.agreed = in_a_row(state.agreed, apart <= AGREE && state.plateau.agreed());
         if state.agreed >= AGREED_BREATHS {
             (state.airway.doubted, state.outlet.doubted) = (false, false);
         }
         let wrong = state.doubtful >= self.doubtful;
         if wrong {
-            state.airway.doubted = (airway - peep).abs() > (outlet - peep).abs();
+            state.airway.doubted = airway > outlet;
             state.outlet.doubted = !state.airway.doubted;
         }
         wrong
@@ -313,6 +336,18 @@ impl PressureSource {
 }
 
 impl SourceState {
+    /// Takes note of the sensor that is believed in this tick; whether it is that of the last one.
+    fn continues(&mut self, reading: Reading, outlet: bool) -> bool {
+        let believed = matches!(reading, Reading::Fresh(_)).then_some(outlet);
+        let before = core::mem::replace(&mut self.believed_outlet, believed);
+        believed.is_some() && believed == before
+    }
+
+    /// Whether a sensor has failed a check, so that the two cannot be compared.
+    fn is_one_lost(&self) -> bool {
+        self.airway.condition == Condition::Lost || self.outlet.condition == Condition::Lost
+    }
+
     /// Whether both pressure sensors are sound.
     pub fn are_both_sound(&self) -> bool {
         self.airway.is_sound() && self.outlet.is_sound()

@@ -173,6 +173,9 @@ impl Supervisor {
 
     /// Reports ticks missed since the last one.
     pub fn missed(&self, state: &mut SupervisorState, ticks: u32) {
+        if ticks > 0 {
+            state.pressure.interrupted();
+        }
         state.missed = state.missed.saturating_add(ticks);
         if state.missed >= MISSED_MAX {
             self.report(state, Fault::MissedTicks);
@@ -217,6 +220,9 @@ impl Supervisor {
             self.indicate(state, fault);
         }
         if let Reading::Fresh(pressure) = chosen.reading {
+            if !chosen.continues {
+                state.pressure.interrupted();
+            }
             self.check_pressure(state, pressure, breath.settings());
         }
         chosen.doubtful
@@ -314,9 +320,10 @@ impl Supervisor {
             }
             None => {}
         }
-        self.source.record(&mut state.source, moment, self.breath.end_of_phase(), readings);
+        let flow = state.lung.valve_flow();
+        self.source.record(&mut state.source, moment, self.breath.end_of_phase(), readings, flow);
         if moment.left() == 1 {
-            self.compare_sensors(state, settings, Start::Clock);
+            self.compare_sensors(state, Start::Clock);
         }
     }
 
@@ -336,9 +343,9 @@ impl Supervisor {
     }
 
     /// Compares the sensors at the end of an expiration, before a start of the next breath.
-    fn compare_sensors(&self, state: &mut SupervisorState, settings: &Settings, next: Start) {
+    fn compare_sensors(&self, state: &mut SupervisorState, next: Start) {
         let flow = state.lung.valve_flow();
-        if self.source.compare(&mut state.source, settings.peep, flow, next == Start::Effort) {
+        if self.source.compare(&mut state.source, flow, next == Start::Effort) {
             self.report(state, Fault::SensorsDisagree);
         }
     }
@@ -361,7 +368,7 @@ impl Supervisor {
     /// Ends an expiration before the next breath is due, because the patient inhales.
     fn triggered(&self, state: &mut SupervisorState, moment: &Moment) {
         let settings = moment.settings();
-        self.compare_sensors(state, settings, Start::Effort);
+        self.compare_sensors(state, Start::Effort);
         let emptied = moment.tick.saturating_sub(moment.breath.inspiration_ticks()) >= self.emptied;
         let inhales = state.volumes.surge() > INHALES;
         self.expiration.triggered(&mut state.expiration, settings.peep, emptied, inhales);
@@ -400,7 +407,10 @@ impl Supervisor {
         let unsure = doubtful || state.breath.is_disconnected();
         self.expiration.observe(&mut state.expiration, moment, pressure, unsure);
         if moment.ends_inspiration() && !cut {
-            self.source.at_plateau(&mut state.source, readings);
+            let volume = state.lung.volume();
+            if self.source.at_plateau(&mut state.source, moment.settings().peep, volume) {
+                self.report(state, Fault::SensorsDisagree);
+            }
             self.inspired(state, pressure, moment.breath);
         }
     }

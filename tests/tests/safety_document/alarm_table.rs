@@ -8,6 +8,7 @@ use shared::safety::alarms::{ALARMS, Fault};
 use shared::safety::expected::{ABOVE, AWAY};
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES};
+use shared::safety::plateau::{self, APART_BREATHS};
 use shared::safety::source::{
     AGREE, AGREED_BREATHS, APART, DOUBTFUL, DOUBTFUL_BREATHS, FAR_APART, MOVED, SOUND_AGAIN,
 };
@@ -98,11 +99,14 @@ fn responses() -> Vec<Conditions> {
         number(1.0 / reading::NOISE_SHARE)
     );
     let disagree = format!(
-        "the pressure sensors more than {} cmH2O apart for {} ms (the higher one counts), or more than {} \
-         at the end of {DOUBTFUL_BREATHS} expirations in a row (the one closer to PEEP counts)",
+        "the pressure sensors more than {} cmH2O apart for {} ms (the higher one counts), more than {} at the \
+         end of {DOUBTFUL_BREATHS} expirations in a row (the one closer to PEEP counts), or more than {} and {} % \
+         at the end of {APART_BREATHS} inspirations in a row (the one that fits the gas counts)",
         number(FAR_APART),
         ms(APART),
-        number(DOUBTFUL)
+        number(DOUBTFUL),
+        number(DOUBTFUL),
+        percent(plateau::GAIN)
     );
     let no_response = format!(
         "for {} ms less than {} % of a predicted rise of more than {} cmH2O, or for {} ms no change over \

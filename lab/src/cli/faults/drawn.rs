@@ -142,7 +142,7 @@ fn promises(tally: &Tally) -> Table {
 }
 
 fn classes(tally: &Tally) -> Table {
-    let mut table = Table::new("Failures by class", &["promise", "faults", "cases", "first"]);
+    let mut table = Table::new("Failures by class", &["promise", "alarm: faults", "cases", "first"]);
     for (promise, name, class) in ordered(tally).take(SHOWN) {
         let first = class.first.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
         table.row(vec![

@@ -35,7 +35,7 @@ impl Run {
     /// The end of an expiration; whether a sensor is wrong.
     fn expiration(&mut self, airway: f32, outlet: f32, flow: f32) -> bool {
         self.rest(2900..3000, airway, outlet);
-        self.source.compare(&mut self.state, PEEP, flow, false)
+        self.source.compare(&mut self.state, flow, false)
     }
 
     /// Ticks of an expiration.
@@ -49,11 +49,14 @@ impl Run {
     fn record(&mut self, tick: u32, airway: f32, outlet: f32) {
         let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
         let readings = Readings { airway, outlet, flow: 0.0 };
-        self.source.record(&mut self.state, &breath.at(tick), 50, &readings);
+        self.source.record(&mut self.state, &breath.at(tick), 50, &readings, 0.0);
     }
 
-    fn plateau(&mut self, airway: f32, outlet: f32) {
-        self.source.at_plateau(&mut self.state, &Readings { airway, outlet, flow: 0.0 });
+    /// The end of an inspiration; whether a sensor is wrong.
+    fn plateau(&mut self, airway: f32, outlet: f32) -> bool {
+        (900..1000).for_each(|tick| self.record(tick, airway, outlet));
+        // The outlet sensor is right.
+        self.source.at_plateau(&mut self.state, PEEP, 20.0 * (outlet - PEEP))
     }
 }
 
@@ -161,7 +164,7 @@ fn an_expiration_that_an_effort_ends_is_compared_before_the_effort() {
         run.record(0, 5.0, 5.0);
         run.rest(2000..2100, 5.0, 10.0);
         run.rest(2100..2140, 4.5, 4.5);
-        let wrong = run.source.compare(&mut run.state, PEEP, 0.0, true);
+        let wrong = run.source.compare(&mut run.state, 0.0, true);
         assert_eq!(wrong, run.state.outlet.doubted);
     }
     assert!(run.state.outlet.doubted);
@@ -176,9 +179,9 @@ fn sensors_are_not_compared_while_the_pressure_falls_unless_the_breath_ends_so()
             run.ticks(10, 5.0, 5.0);
             for tick in ticks.clone() {
                 let readings = Readings { airway: 5.0, outlet: 10.0, flow: 0.0 };
-                run.source.record(&mut run.state, &breath.at(tick), 50, &readings);
+                run.source.record(&mut run.state, &breath.at(tick), 50, &readings, 0.0);
             }
-            run.source.compare(&mut run.state, PEEP, 0.0, triggered)
+            run.source.compare(&mut run.state, 0.0, triggered)
         })
     };
     assert!(!wrong(1000..1449, 20.0, true) && wrong(1500..1700, 20.0, true));
@@ -203,6 +206,50 @@ fn sensors_that_agree_again_in_three_whole_breaths_are_both_used() {
     };
     assert!(agree(&mut wrong(), 22.0, 2) && !agree(&mut wrong(), 22.0, 3));
     assert!(agree(&mut wrong(), 26.0, 9), "not at the end of the inspiration");
+}
+
+#[test]
+fn a_sensor_with_a_wrong_gain_is_out_of_use_until_it_agrees_again() {
+    let mut run = Run::new();
+    run.ticks(10, 5.0, 5.0);
+    assert!(!run.plateau(25.0, 25.0) && !run.plateau(25.0, 31.0) && run.plateau(25.0, 31.0));
+    run.expiration(5.0, 5.0, 0.0);
+    assert!(run.state.airway.doubted && near(run.ticks(100, 20.0, 25.0), 25.0), "it is right at PEEP only");
+    (0..9).for_each(|_| {
+        run.plateau(20.0, 25.0);
+        run.expiration(5.0, 5.0, 0.0);
+    });
+    assert!(run.state.airway.doubted);
+    (0..3).for_each(|_| {
+        run.plateau(25.0, 25.0);
+        run.expiration(5.0, 5.0, 0.0);
+    });
+    assert!(!run.state.airway.doubted);
+}
+
+#[test]
+fn a_hum_around_peep_is_a_difference_and_the_humming_sensor_is_wrong() {
+    let mut run = Run::new();
+    let mut wrong = false;
+    for _ in 0..2 {
+        run.ticks(10, 5.0, 5.0);
+        for tick in 2900..3000 {
+            let hum = 5.0 * (0.314 * tick as f32).sin();
+            run.record(tick, PEEP + hum, PEEP);
+        }
+        wrong = run.source.compare(&mut run.state, 0.0, false);
+    }
+    assert!(wrong && run.state.airway.doubted);
+}
+
+#[test]
+fn a_reading_continues_the_last_one_of_the_same_sensor_only() {
+    let mut run = Run::new();
+    assert!(!run.tick(20.0, 23.0).continues && run.tick(20.0, 23.0).continues);
+    assert!(!run.tick(f32::NAN, 23.0).continues && !run.tick(20.0, 23.0).continues, "a gap");
+    assert!(run.tick(20.0, 23.0).continues);
+    let changes = (0..40).map(|_| run.tick(8.0, 23.0).continues).filter(|continues| !continues).count();
+    assert_eq!(changes, 1, "the other sensor, which is higher");
 }
 
 #[test]
@@ -331,7 +378,7 @@ fn the_bounds_at_the_end_of_a_breath_are_exact() {
         });
         !run.state.airway.doubted
     };
-    assert!(used_again(6.0, 25.0) && !used_again(6.1, 25.0) && !used_again(6.0, 25.1));
+    assert!(used_again(6.0, 23.0) && !used_again(6.1, 23.0) && !used_again(6.0, 23.1));
     let mut run = Run::new();
     (0..2).for_each(|_| _ = run.expiration(PEEP + 2.5, PEEP - 2.5, 0.0));
     assert!(run.state.outlet.doubted && !run.state.airway.doubted, "equally far from PEEP");
@@ -365,7 +412,7 @@ fn readings_of_a_lost_sensor_are_not_compared() {
     run.ticks(100, 10.0, f32::NAN);
     for _ in 0..4 {
         run.record(2999, 10.0, 200.0);
-        assert!(!run.source.compare(&mut run.state, PEEP, 0.0, false), "there is no second sensor");
+        assert!(!run.source.compare(&mut run.state, 0.0, false), "there is no second sensor");
     }
 }
 
@@ -410,7 +457,7 @@ fn a_missing_reading_in_the_last_window_spoils_no_comparison() {
         let mut expiration = || {
             run.rest(2900..2999, 10.0, 5.0);
             run.record(2999, missing.0, missing.1);
-            run.source.compare(&mut run.state, PEEP, 0.0, false)
+            run.source.compare(&mut run.state, 0.0, false)
         };
         assert!(!expiration() && expiration());
     }

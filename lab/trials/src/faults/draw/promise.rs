@@ -5,7 +5,6 @@
 
 use serde::{Deserialize, Serialize};
 use shared::safety::alarms::{Fault, Priority};
-use shared::safety::indications::FaultSet;
 use shared::safety::monitors::Monitors;
 
 use super::case::Case;
@@ -59,6 +58,8 @@ pub struct Broken {
     pub promise: Promise,
     /// What happened, in words.
     pub how: String,
+    /// The alarm without a reason, or the fault that was latched.
+    pub alarm: Option<Fault>,
 }
 
 /// The promises that a case breaks with these monitors and responses.
@@ -76,34 +77,42 @@ pub fn broken(case: &Case, monitors: Monitors) -> Result<Vec<Broken>, SourceErro
         able => run(able, onset_s, Monitors::ALL)?,
     };
     let found = [
-        (seen.above_ms > ABOVE_MS && !case.disobeys())
-            .then(|| (Promise::Pressure, format!("{} ms above, peak {:.0} cmH2O", seen.above_ms, seen.peak))),
-        starved(case, &seen, &able, &without).map(|how| (Promise::Volume, how)),
-        latched(case, &seen).map(|how| (Promise::NoLatch, how)),
-        false_alarm(case, &seen).map(|how| (Promise::NoFalseAlarm, how)),
+        (seen.above_ms > ABOVE_MS && !case.disobeys()).then(|| {
+            let how = format!("{} ms above, peak {:.0} cmH2O", seen.above_ms, seen.peak);
+            Broken { promise: Promise::Pressure, how, alarm: None }
+        }),
+        starved(case, &seen, &able, &without).map(|how| Broken {
+            promise: Promise::Volume,
+            how,
+            alarm: None,
+        }),
+        latched(case, &seen),
+        false_alarm(case, &seen),
     ];
-    Ok(found.into_iter().flatten().map(|(promise, how)| Broken { promise, how }).collect())
+    Ok(found.into_iter().flatten().collect())
 }
 
-fn latched(case: &Case, seen: &Observed) -> Option<String> {
+fn latched(case: &Case, seen: &Observed) -> Option<Broken> {
     let (fault, time_s) = seen.latched.filter(|_| !case.disobeys())?;
-    Some(format!("{} latched at {time_s:.1} s", fault.alarm().id))
+    let how = format!("{} latched at {time_s:.1} s", fault.alarm().id);
+    Some(Broken { promise: Promise::NoLatch, how, alarm: Some(fault) })
 }
 
-fn false_alarm(case: &Case, seen: &Observed) -> Option<String> {
+fn false_alarm(case: &Case, seen: &Observed) -> Option<Broken> {
     let undeserved = |(fault, time_s, verdict): &&(Fault, f64, Verdict)| {
         let explained = *time_s >= case.onset_s() && case.is_named_by(*fault);
         fault.alarm().priority == Priority::High && *verdict == Verdict::Undeserved && !explained
     };
     let (fault, time_s, _) = seen.alarms.iter().find(undeserved)?;
-    Some(format!("{} at {time_s:.1} s", fault.alarm().id))
+    let how = format!("{} at {time_s:.1} s", fault.alarm().id);
+    Some(Broken { promise: Promise::NoFalseAlarm, how, alarm: Some(*fault) })
 }
 
 /// Whether the patient gets too little without an alarm that says why.
 fn starved(case: &Case, seen: &Observed, able: &Observed, sound: &Observed) -> Option<String> {
     let named = |window: &Window, least: Priority| {
         let names = |fault: &Fault| fault.alarm().priority >= least && case.is_named_by(*fault);
-        faults(window.present).any(|fault| names(&fault))
+        window.present.faults().any(|fault| names(&fault))
     };
     // The last window may be short, and there is none after it in which an alarm could come.
     let whole = seen.windows.len().min(able.windows.len()).min(sound.windows.len()).saturating_sub(2);
@@ -127,8 +136,4 @@ fn starved(case: &Case, seen: &Observed, able: &Observed, sound: &Observed) -> O
         }
     }
     None
-}
-
-fn faults(set: FaultSet) -> impl Iterator<Item = Fault> {
-    set.faults()
 }

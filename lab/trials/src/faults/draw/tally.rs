@@ -7,7 +7,7 @@ use shared::safety::monitors::Monitors;
 use thiserror::Error;
 
 use super::generator::Generator;
-use super::promise::{Promise, broken};
+use super::promise::{Broken, Promise, broken};
 use crate::faults::parts::Part;
 use campaign::{Sums, Work, WorkspaceError};
 use progress::{Stage, Task};
@@ -82,17 +82,20 @@ impl Work for Drawn {
 
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<CaseResult>, DrawError> {
         let case = self.generator.draw(number);
-        let broken = broken(&case, self.monitors)?.into_iter().map(|broken| broken.promise).collect();
+        let named = |broken: Broken| match broken.alarm {
+            Some(alarm) => (broken.promise, format!("{}: {}", alarm.alarm().id, case.class())),
+            None => (broken.promise, case.class()),
+        };
+        let broken = broken(&case, self.monitors)?.into_iter().map(named).collect();
         task.advance(1);
-        Ok(Some(CaseResult { class: case.class(), broken }))
+        Ok(Some(CaseResult { broken }))
     }
 }
 
-/// Result of a case.
+/// Result of a case: the promises that it broke, each with its class, which is an alarm that should not be there and the faults.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CaseResult {
-    class: String,
-    broken: Vec<Promise>,
+    broken: Vec<(Promise, String)>,
 }
 
 /// The results of all cases so far.
@@ -102,7 +105,7 @@ pub struct Tally {
     pub cases: u64,
     /// Cases that broke a promise.
     pub failed: u64,
-    /// The broken promises, by class of the faults.
+    /// The broken promises, by class.
     pub broken: BTreeMap<Promise, BTreeMap<String, Class>>,
 }
 
@@ -135,10 +138,11 @@ impl Sums for Tally {
     type Unit = CaseResult;
 
     fn add(&mut self, number: u64, result: CaseResult) {
-        let CaseResult { class, broken } = result;
-        let of_class = || BTreeMap::from([(class.clone(), Class { cases: 1, first: vec![number] })]);
+        let CaseResult { broken } = result;
+        let one = || Class { cases: 1, first: vec![number] };
         let failed = u64::from(!broken.is_empty());
-        let broken = broken.into_iter().map(|promise| (promise, of_class())).collect();
+        let broken =
+            broken.into_iter().map(|(promise, class)| (promise, BTreeMap::from([(class, one())]))).collect();
         self.absorb(Self { cases: 1, failed, broken });
     }
 
