@@ -100,6 +100,10 @@ fn names(what: &Faulty, alarm: &str) -> bool {
             Failure::TubeOccluded | Failure::TubeNarrowed(_) => has(&[SMALL]),
             Failure::Disconnected | Failure::Leak(_) => has(&[LEAK, SMALL]),
             Failure::SupplyLost | Failure::SupplyFalls(_) => has(&[SMALL, VALVE]),
+            // Its flow drops more pressure in the tube between the sensors than any command explains.
+            Failure::InspiratoryValveStuck(_) | Failure::BothValvesStuck(_) => {
+                has(&[VALVE, SMALL, &["sensors-disagree"]])
+            }
             _ => has(&[VALVE, SMALL]),
         },
         Faulty::SupplySwings { .. } => has(&[SMALL, VALVE]),

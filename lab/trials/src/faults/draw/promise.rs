@@ -16,6 +16,8 @@ use ventilator::SourceError;
 const ABOVE_MS: u32 = 300;
 /// Share of the volume that the machine can still give.
 const SHARE: f64 = 0.8;
+/// Volume of a window below which nothing is given, mL.
+const LEAST_ML: f64 = 1.0;
 /// Share of the volume before a fault of machine or patient below which breaths have become small, and windows after which an alarm
 /// must say so: a minute.
 const SMALL: f64 = 2.0 / 3.0;
@@ -112,12 +114,15 @@ fn false_alarm(case: &Case, seen: &Observed) -> Option<Broken> {
 fn starved(case: &Case, seen: &Observed, able: &Observed, sound: &Observed) -> Option<String> {
     let named = |window: &Window, least: Priority| {
         let names = |fault: &Fault| fault.alarm().priority >= least && case.is_named_by(*fault);
-        window.present.faults().any(|fault| names(&fault))
+        window.indicated.faults().any(|fault| names(&fault))
     };
     // The last window may be short, and there is none after it in which an alarm could come.
     let whole = seen.windows.len().min(able.windows.len()).min(sound.windows.len()).saturating_sub(2);
-    let share =
-        |of: &Observed, place: usize| seen.windows[place].volume_ml / of.windows[place].volume_ml.max(1e-9);
+    // Where nothing can be given, nothing is missing.
+    let share = |of: &Observed, place: usize| match of.windows[place].volume_ml {
+        little if little < LEAST_ML => 1.0,
+        volume_ml => seen.windows[place].volume_ml / volume_ml,
+    };
     for place in 0..whole {
         let told = (place..=place + 1).any(|near| named(&seen.windows[near], Priority::High));
         if share(able, place) < SHARE && !told {

@@ -11,7 +11,7 @@ use super::case::{Case, Stalls};
 use super::names::is_of_knowledge;
 use crate::endure::deserved::{Verdict, judge};
 use crate::endure::patient::Patient;
-use crate::endure::truth::{History, Moment};
+use crate::endure::truth::{BreathTruth, History, Moment};
 use crate::faults::rig::Attended;
 use plant::bench::BenchPlant;
 use ventilator::SourceError;
@@ -21,6 +21,8 @@ const ABOVE_LIMIT: f64 = 15.0;
 /// Muscle pressure with which a patient raises the pressure himself, cmH2O, and the time for which it still shows, ms.
 const PRESSES: f64 = -2.0;
 const PRESSED_MS: u32 = 500;
+/// Pressure above PEEP at the end of an expiration that is a high baseline, less a sensor's tolerance, cmH2O.
+const HIGH: f64 = 2.0;
 /// Least duration of a window, s; it is at least two breaths.
 const WINDOW_S: f64 = 15.0;
 
@@ -44,8 +46,8 @@ pub struct Observed {
 pub struct Window {
     /// Gas that went into the lung, mL.
     pub volume_ml: f64,
-    /// Alarms that were present.
-    pub present: FaultSet,
+    /// Alarms that were indicated: present, or not yet acknowledged.
+    pub indicated: FaultSet,
 }
 
 /// Duration of a window of a case, s: what is promised within two breaths or 15 s is promised within one.
@@ -144,11 +146,21 @@ impl Run<'_> {
         }
         self.tick = output.sample.map_or(0, |sample| sample.tick);
         if let Some(fault) = output.alarm {
-            self.observed.alarms.push((fault, time_s, judge(fault, &self.history)));
+            self.observed.alarms.push((fault, time_s, self.verdict(fault)));
         }
         if let Mode::Fault(fault) = state.mode() {
             self.observed.latched.get_or_insert((fault, time_s));
         }
+    }
+
+    /// Whether an alarm that begins now is deserved. A baseline that is high already in the first breaths is one.
+    fn verdict(&self, fault: Fault) -> Verdict {
+        let high =
+            |breath: &BreathTruth| breath.baseline.is_some_and(|baseline| baseline > breath.peep() + HIGH);
+        if fault == Fault::BaselineHigh && self.history.window().any(high) {
+            return Verdict::Deserved;
+        }
+        judge(fault, &self.history)
     }
 
     /// Notes the truth at the end of a tick.
@@ -175,8 +187,8 @@ impl Run<'_> {
             observed.windows.resize(observed.windows.len().max(place + 1), Window::default());
             let window = &mut observed.windows[place];
             window.volume_ml += truth.flow_lung.max(0.0);
-            let present = rig.control.state().indications().present().bits();
-            window.present = FaultSet::from_bits(window.present.bits() | present);
+            let indicated = rig.control.state().indications().indicated().bits();
+            window.indicated = FaultSet::from_bits(window.indicated.bits() | indicated);
         }
     }
 }
