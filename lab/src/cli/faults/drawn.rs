@@ -6,6 +6,7 @@ use anyhow::{Context as _, bail};
 use serde::Serialize;
 use shared::safety::monitors::Monitors;
 
+use campaign::Campaign;
 use host::args::shards::ShardFolderArgs;
 use host::command::Context;
 use show::report::{Cell, Table};
@@ -81,6 +82,36 @@ impl DrawArgs {
             self.show_failures(&drawn, &tally, context)?;
         }
         Ok(Some(DrawnSummary { seed: self.seed, tally }))
+    }
+
+    /// Runs the same cases with all parts of the supervisor and without each; fails if they keep as many promises without one.
+    pub fn mutate(&self, cases: u64, context: &Context<'_>) -> anyhow::Result<()> {
+        let failed = |without: Option<Part>| -> anyhow::Result<u64> {
+            let drawn = Drawn::new(self.seed, without)?;
+            let mut campaign = Campaign::new(&drawn);
+            context.progress(|progress| campaign.advance(&drawn, cases, None, progress))?;
+            Ok(campaign.sums().failed)
+        };
+        let whole = failed(None)?;
+        let mut table = Table::new("Cases that break a promise", &["without", "cases", "more than with all"]);
+        let mut idle = Vec::new();
+        for part in Part::all().take_while(|_| !context.stopped()) {
+            let without = failed(Some(part))?;
+            if without <= whole {
+                idle.push(part.name());
+            }
+            let more = without as i64 - whole as i64;
+            table.row(vec![
+                Cell::text(part.name()),
+                Cell::right(without.to_string()),
+                Cell::right(more.to_string()),
+            ]);
+        }
+        context.table(&table);
+        if !idle.is_empty() {
+            bail!("no more cases fail without {}: draw more cases", idle.join(", "));
+        }
+        Ok(())
     }
 
     /// Prints the first failing case of the largest class as TOML, and saves those of all classes if asked to.

@@ -32,7 +32,7 @@ Examples:
   lab faults --nominal 10000                            # false alarms with effort and coughs
   lab faults --draw 10000 --seed 7 --save-failures out/failures    # any fault, any machine, any patient
   lab faults --case out/failures/pressure-12.toml       # one of these again
-  lab faults --draw 1000 --without reading-frozen       # how much a monitor is needed
+  lab faults --draw 1000 --mutate                       # how much each monitor and response is needed
 
 A row passes if its monitors fire under every seed, ventilation goes on (80 % of the volume of a
 sound machine, no gap longer than two breaths) unless no command can move the gas, the venting
@@ -59,8 +59,8 @@ pub struct Args {
     /// Leave out this monitor or response, such as reading-frozen or "step to the PID"
     #[arg(long, value_name = "NAME")]
     without: Option<String>,
-    /// Leave out each monitor and each response in turn, and require at least one row to fail
-    #[arg(long, conflicts_with = "without")]
+    /// Leave out each monitor and each response in turn, and require at least one row, or more drawn cases, to fail
+    #[arg(long, conflicts_with_all = ["without", "keep", "out", "save_failures"])]
     mutate: bool,
     /// Run this many breaths without a fault and require that no alarm occurs
     #[arg(long, value_name = "N", conflicts_with_all = ["without", "mutate"])]
@@ -108,6 +108,9 @@ impl Command for Args {
             return drawn::one(file, without, context).map(|()| None);
         }
         if let Some(cases) = self.drawn.draw {
+            if self.mutate {
+                return self.drawn.mutate(cases, context).map(|()| None);
+            }
             return Ok(self.drawn.run(cases, without, context)?.map(Summary::Drawn));
         }
         let lungs = benches(&self.bench)?;
