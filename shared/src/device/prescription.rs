@@ -283,13 +283,13 @@ impl<'a> Prescription<'a> {
     pub fn keep(&mut self, control: &Control, output: &Output) {
         debug_assert!(self.due.is_none() || self.due == self.kept, "what is due is kept");
         debug_assert!(self.due.is_none() || self.refused.is_none());
-        match &output.sample {
-            // Who starts it does not wait for it to resume.
-            Some(sample) if sample.tick == 0 => self.due = None,
-            Some(sample) if sample.tick == 1 => self.breath_has_begun(control, sample.breath),
-            None if self.kept.is_some() && (self.due.is_none() || output.mode != Mode::Standby) => {
-                self.clear();
-            }
+        match (&output.sample, output.mode) {
+            (Some(sample), _) if sample.tick == 1 => self.breath_has_begun(control, sample.breath),
+            // Who starts it does not wait for it to resume. A start without a reading yet has no sample, and ends nothing.
+            (_, Mode::Ventilating) => self.due = None,
+            // It waits.
+            (_, Mode::Standby) if self.due.is_some() => {}
+            _ if self.kept.is_some() => self.clear(),
             _ => {}
         }
     }

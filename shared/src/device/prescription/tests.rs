@@ -38,8 +38,13 @@ impl<'a> Run<'a> {
     }
 
     fn ticks(&mut self, count: usize) {
+        self.ticks_on(count, 5.0);
+    }
+
+    /// Ticks in which the airway sensor, the only one, reads this.
+    fn ticks_on(&mut self, count: usize, reading: f32) {
         for _ in 0..count {
-            let output = self.control.step(5.0);
+            let output = self.control.step(reading);
             self.prescription.keep(&self.control, &output);
         }
     }
@@ -188,6 +193,49 @@ fn a_program_that_fails_before_the_end_of_each_breath_ends_in_standby() {
         run.ticks(BREATH + 2);
         assert!(run.control.prescription().is_some(), "breaths are completed");
     }
+}
+
+/// A sensor that is silent at the start of a resumption delays the first breath, or backup ventilation begins it.
+#[test]
+fn a_resumption_without_a_reading_keeps_the_settings_and_counts() {
+    for (silent, read) in
+        [(1, 0), (1, 1), (2, BREATH / 2), (4, BREATH - 5), (5, 0), (100, 0), (BREATH - 10, 0)]
+    {
+        let memory = noted();
+        for time in 0..RESUMES {
+            let mut run = Run::start(&memory, HANG);
+            run.ticks_on(silent, f32::NAN);
+            run.ticks(read);
+            let kept = run.control.prescription();
+            assert_eq!(kept, Some(paper_settings(25.0)), "time {time}, {silent} ticks without a reading");
+            assert_eq!(memory.notes.absence_s(Some(NOTED)), Some(0), "and so is the note");
+        }
+        assert_eq!(found(&memory, HANG, Some(NOTED)), (false, Some(ChipEvent::ResumedTooOften)), "{silent}");
+    }
+}
+
+#[test]
+fn a_stop_before_the_first_reading_of_a_resumption_ends_it() {
+    let memory = noted();
+    let mut run = Run::start(&memory, HANG);
+    run.ticks_on(2, f32::NAN);
+    run.ask(ControlRequest::Stop);
+    run.ticks_on(1, f32::NAN);
+    assert_eq!(found(&memory, HANG, Some(NOTED)), (false, None));
+}
+
+#[test]
+fn who_starts_a_waiting_device_before_its_first_reading_decides() {
+    let memory = noted();
+    let mut run = Run { control: device(), prescription: Prescription::attach(&memory, DIP, None) };
+    run.ask(ControlRequest::Apply(paper_settings(10.0)));
+    run.ask(ControlRequest::Start);
+    run.ticks_on(1, f32::NAN);
+    assert!(!run.prescription.is_due(), "nothing resumes into the new ventilation");
+    assert_eq!(run.prescription.resume(&mut run.control, true), None);
+    run.ticks(2);
+    assert_eq!(run.control.prescription(), Some(paper_settings(10.0)));
+    assert_eq!(resumed(&memory, DIP), Some(paper_settings(10.0)));
 }
 
 #[test]
@@ -387,6 +435,28 @@ proptest! {
         memory.copies[0].magic.store(MAGIC);
         let found = resumed(&memory, HANG);
         prop_assert_eq!(found.is_some(), Settings::from_values(words.map(f32::from_bits)).validate().is_ok());
+    }
+
+    /// Whatever the sensor reads in the ticks before each failure: less than a breath proves nothing, and no more than a stop
+    /// takes the settings away.
+    #[test]
+    fn a_program_that_fails_before_a_breath_resumes_three_times_whatever_is_read(
+        readings in prop::collection::vec(prop_oneof![Just(f32::NAN), Just(5.0f32), any::<f32>()], 1..40),
+        stops in any::<bool>(),
+    ) {
+        let memory = noted();
+        for _ in 0..RESUMES {
+            let mut run = Run::start(&memory, HANG);
+            readings.iter().for_each(|reading| run.ticks_on(1, *reading));
+            prop_assert_eq!(run.control.prescription(), Some(paper_settings(25.0)));
+            if stops {
+                run.ask(ControlRequest::Stop);
+                run.ticks_on(1, f32::NAN);
+                prop_assert_eq!(found(&memory, HANG, Some(NOTED)), (false, None));
+                return Ok(());
+            }
+        }
+        prop_assert_eq!(found(&memory, HANG, Some(NOTED)), (false, Some(ChipEvent::ResumedTooOften)));
     }
 
     /// A reset at any store leaves the settings before or after it, and never others or none.
