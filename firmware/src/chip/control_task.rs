@@ -8,7 +8,7 @@ use embassy_sync::signal::Signal;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::Control;
 use shared::device::prescription::Prescription;
-use shared::device::{ControlReply, ControlReport, ControlRequest};
+use shared::device::{ControlReply, ControlReport, ControlRequest, HostRole};
 use shared::link::messages::DeviceKind;
 use shared::link::refusal::Refusal;
 use shared::recorder::keeper::Leave;
@@ -27,8 +27,8 @@ use super::drivers::{clock, link_uart, oscillator, supply};
 /// Capacity of the queue of reports to the link task: more than 0.1 s of samples.
 const REPORTS_LENGTH: usize = 128;
 
-/// Request from the link task; one at a time.
-pub static REQUEST: Signal<CriticalSectionRawMutex, ControlRequest> = Signal::new();
+/// Request from the link task, and the role of its host; one at a time.
+pub static REQUEST: Signal<CriticalSectionRawMutex, (ControlRequest, HostRole)> = Signal::new();
 /// Reply to the link task.
 pub static REPLY: Signal<CriticalSectionRawMutex, ControlReply> = Signal::new();
 /// Reports to the link task.
@@ -94,13 +94,11 @@ pub async fn run(
         plant.drive(&output.command);
         control.report(&output, &mut |report| REPORTS.try_send(report).is_ok());
         prescription.keep(control, &output);
-        if let Some(request) = REQUEST.try_take() {
-            prescription.requested(&request);
-            REPLY.signal(control.execute(&request));
+        if let Some((request, role)) = REQUEST.try_take() {
+            REPLY.signal(prescription.execute(control, &request, role));
         }
         let (missed, period) = since(before, number, begun);
-        let leave = if prescription.is_due() { Leave::Nothing } else { control.leave() };
-        LEAVE.store(leave as u8, Ordering::Relaxed);
+        LEAVE.store(prescription.leave(control) as u8, Ordering::Relaxed);
         VENTILATES.store(output.sample.is_some(), Ordering::Relaxed);
         recorder.record(&control.moment(readings.airway, &output, missed));
         let work = clock::now().wrapping_sub(read);

@@ -83,8 +83,8 @@ async fn serve(server: &mut Server<'_>, storage: &mut Storage, request: &ToDevic
     let mut step = server.receive(request, clock::number(), storage);
     let answer = loop {
         step = match step {
-            NextStep::Control(request) => {
-                REQUEST.signal(request);
+            NextStep::Control(request, role) => {
+                REQUEST.signal((request, role));
                 server.control_replied(REPLY.wait().await, storage)
             }
             NextStep::Answer(answer) => break answer,

@@ -10,7 +10,7 @@ use heapless::Deque;
 use super::alarm_events::AlarmEvents;
 use super::annunciator::{Annunciator, Signals};
 use super::self_test::{BootFindings, Check, SelfTest};
-use super::{ControlReply, ControlReport, ControlRequest, KNOWN_GOOD, Status};
+use super::{ControlReply, ControlReport, ControlRequest, HostRole, KNOWN_GOOD, Status};
 use crate::breath::{Breath, Phase};
 use crate::calibration::SensorCorrection;
 use crate::control::Controller;
@@ -103,7 +103,13 @@ impl Control {
             ventilator,
             state,
             learned: None,
-            status: Status { mode: Mode::Standby, moves_valves: false, controller, exploration: None },
+            status: Status {
+                mode: Mode::Standby,
+                moves_valves: false,
+                resumes: false,
+                controller,
+                exploration: None,
+            },
             next_controller: None,
             queue: Deque::new(),
             meter: BreathMeter::default(),
@@ -197,16 +203,11 @@ impl Control {
         self.state.mode()
     }
 
-    /// What may be done to the flash: nothing while the device ventilates or a check moves its valves, and no erase in the safe
-    /// state, which an operator wants to leave without delay.
+    /// What may be done to the flash ([`Status::leave`]). Where ventilation may wait to resume, ask
+    /// [`super::prescription::Prescription::leave`].
     #[inline]
     pub fn leave(&self) -> Leave {
-        match self.state.mode() {
-            Mode::Ventilating => Leave::Nothing,
-            _ if self.self_test.moves_valves() => Leave::Nothing,
-            Mode::Fault(_) => Leave::Write,
-            Mode::Standby => Leave::Erase,
-        }
+        self.status().leave()
     }
 
     /// Changes that the plant must make before this tick's reading.
@@ -376,9 +377,21 @@ impl Control {
         self.ventilator.missed(&mut self.state, self.timer.missed().saturating_sub(before));
     }
 
-    /// Executes a request.
+    /// Executes a request of the host that steers.
     pub fn execute(&mut self, request: &ControlRequest) -> ControlReply {
-        self.host.heard();
+        self.execute_for(request, HostRole::Steers)
+    }
+
+    /// Executes a request of a host. One that only reads supervises no exploration of another host.
+    pub fn execute_for(&mut self, request: &ControlRequest, role: HostRole) -> ControlReply {
+        let supervises = match role {
+            HostRole::Steers => true,
+            HostRole::Attends => self.status.exploration.is_none(),
+            HostRole::Reads => false,
+        };
+        if supervises {
+            self.host.heard();
+        }
         let response = match *request {
             ControlRequest::Status => {
                 return ControlReply::Status(self.status());
@@ -405,6 +418,7 @@ impl Control {
         ControlReply::Response(response.unwrap_or_else(Response::Refused))
     }
 
+    #[inline]
     fn status(&self) -> Status {
         let (mode, moves_valves) = (self.state.mode(), self.self_test.moves_valves());
         Status { mode, moves_valves, ..self.status }

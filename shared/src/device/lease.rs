@@ -7,6 +7,7 @@
 //! A person at the bedside does not have to wait: a host that says so takes the lease over at once, and with it can stop
 //! ventilation and acknowledge alarms. No program does that by itself.
 
+use super::HostRole;
 use crate::link::host_name::HostName;
 use crate::link::messages::LeaseStatus;
 use crate::link::refusal::Refusal;
@@ -28,12 +29,15 @@ pub struct Lease {
     /// Ticks for which its holder may be silent.
     allowed: u32,
     holder: Option<Holder>,
+    /// Token of the host that holds it or held it last, and whether that one has given it back.
+    last: Option<u32>,
+    given_back: bool,
 }
 
 impl Lease {
     /// A lease that nobody holds, for a control period in microseconds.
     pub fn new(period_us: u32) -> Self {
-        Self { allowed: math::ticks(LEASE_S, period_us), holder: None }
+        Self { allowed: math::ticks(LEASE_S, period_us), holder: None, last: None, given_back: false }
     }
 
     /// Takes note of a request at a control tick, before anything else: it renews the lease of its holder, and ends one whose
@@ -44,6 +48,15 @@ impl Lease {
             && Some(holder.token) == host
         {
             holder.heard = tick;
+        }
+    }
+
+    /// What a host is to the running ventilation. One whose lease has lapsed still steers until another one acquires it.
+    pub fn role(&self, host: Option<u32>) -> HostRole {
+        match self.last {
+            Some(token) if Some(token) == host => HostRole::Steers,
+            Some(_) if !self.given_back => HostRole::Reads,
+            _ => HostRole::Attends,
         }
     }
 
@@ -81,15 +94,17 @@ impl Lease {
             Err(held @ Refusal::Lease { .. }) if !take_over => return Err(held),
             _ => self.holder = Some(Holder { token, name, heard: tick }),
         }
+        (self.last, self.given_back) = (host, false);
         debug_assert!(self.permits(host).is_ok());
         Ok(self.status(host))
     }
 
-    /// Gives the lease back, if this host holds it.
+    /// Gives the lease back, if this host holds it; one whose lease has lapsed says that it leaves.
     pub fn release(&mut self, host: Option<u32>) -> LeaseStatus {
         if self.permits(host).is_ok() {
             self.holder = None;
         }
+        self.given_back |= self.holder.is_none() && self.role(host) == HostRole::Steers;
         debug_assert!(self.permits(host).is_err());
         self.status(host)
     }

@@ -33,6 +33,7 @@ pub use crate::control::pid::KNOWN_GOOD;
 use crate::explore::Exploration;
 use crate::link::messages::{ControllerChoice, Response};
 use crate::link::telemetry::{BreathSummary, Counters};
+use crate::recorder::keeper::Leave;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
@@ -79,6 +80,17 @@ pub enum ControlRequest {
     Calibrate(SensorCorrection),
 }
 
+/// What the host that sends a request is to the running ventilation, for the watch that finds it silent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HostRole {
+    /// It holds the lease or held it last, or it has started the exploration.
+    Steers,
+    /// It only reads, and no host is missing: none has steered yet, or the last one has given the lease back.
+    Attends,
+    /// It only reads; another host steers, or has fallen silent.
+    Reads,
+}
+
 /// The control half's answer to a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ControlReply {
@@ -95,10 +107,26 @@ pub struct Status {
     pub mode: Mode,
     /// Whether a check of the self-test moves the valves.
     pub moves_valves: bool,
+    /// Whether a ventilation that a reset has interrupted waits to resume.
+    pub resumes: bool,
     /// The controller that runs, at the latest from the next breath on.
     pub controller: ControllerChoice,
     /// The exploration in force, at the latest from the next breath on.
     pub exploration: Option<Exploration>,
+}
+
+impl Status {
+    /// What may be done to the flash: nothing while the device ventilates or is about to, or a check moves its valves, and no
+    /// erase in the safe state, which an operator wants to leave without delay.
+    #[inline]
+    pub fn leave(&self) -> Leave {
+        match self.mode {
+            Mode::Ventilating => Leave::Nothing,
+            _ if self.moves_valves || self.resumes => Leave::Nothing,
+            Mode::Fault(_) => Leave::Write,
+            Mode::Standby => Leave::Erase,
+        }
+    }
 }
 
 /// An unrequested report of the control half.

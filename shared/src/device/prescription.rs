@@ -12,12 +12,15 @@
 //! A program that fails again and again before it has completed a breath resumes [`RESUMES`] times; then it waits in standby,
 //! where a host can reach it.
 
-use super::ControlRequest;
 use super::absence::{ClockTime, LONGEST_ABSENCE_S, Notes};
 use super::control::Control;
+use super::{ControlReply, ControlRequest, HostRole};
 use crate::checksum::{CRC_32, fnv};
+use crate::link::messages::Response;
+use crate::link::refusal::Refusal;
 use crate::recorder::ChipEvent;
 use crate::recorder::cell::Word;
+use crate::recorder::keeper::Leave;
 use crate::reset::ResetCause;
 use crate::settings::{FIELDS, Settings};
 use crate::ventilator::{Mode, Output};
@@ -270,11 +273,32 @@ impl<'a> Prescription<'a> {
         None
     }
 
-    /// Takes note of a request before it is executed: who stops the device while it waits to resume ends that too.
-    pub fn requested(&mut self, request: &ControlRequest) {
-        if *request == ControlRequest::Stop && self.due.is_some() {
-            self.clear();
+    /// Lets the control half execute a request of a host in this role. Who stops a device that waits to resume ends the wait; no
+    /// check moves its valves meanwhile, and its status says so.
+    pub fn execute(
+        &mut self,
+        control: &mut Control,
+        request: &ControlRequest,
+        role: HostRole,
+    ) -> ControlReply {
+        match request {
+            ControlRequest::Stop if self.is_due() => self.clear(),
+            ControlRequest::SelfTest(Some(_)) if self.is_due() => {
+                return ControlReply::Response(Response::Refused(Refusal::Ventilating));
+            }
+            _ => {}
         }
+        let mut reply = control.execute_for(request, role);
+        if let ControlReply::Status(status) = &mut reply {
+            status.resumes = self.is_due();
+        }
+        reply
+    }
+
+    /// What may be done to the flash: nothing either while ventilation waits to resume.
+    #[inline]
+    pub fn leave(&self, control: &Control) -> Leave {
+        if self.is_due() { Leave::Nothing } else { control.leave() }
     }
 
     /// Keeps the settings of a breath in its second tick, since the first takes longest of all, and clears them in the first tick

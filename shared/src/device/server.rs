@@ -6,13 +6,16 @@
 //!
 //! A host that gets no answer repeats its request with the same sequence number. The server stores its last answer and
 //! sends it again, so that no request is executed twice.
+//!
+//! Every new request passes the control half, with the role of its host, so that the control half knows who is silent; only one
+//! that cannot break a silence is answered without it.
 
 use heapless::{String, Vec};
 
 use super::control::Control;
 use super::lease::Lease;
 use super::upload::Upload;
-use super::{ControlReply, ControlReport, ControlRequest, Status};
+use super::{ControlReply, ControlReport, ControlRequest, HostRole, Status};
 use crate::breath::DEFAULT_PERIOD_US;
 use crate::calibration::{Calibration, SensorCorrection};
 use crate::link::PROTOCOL;
@@ -22,7 +25,9 @@ use crate::link::messages::{
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{Batcher, Counters};
 use crate::recorder::RecorderMemory;
+use crate::recorder::keeper::Leave;
 use crate::reset::ResetCause;
+use crate::safety::alarms::Fault;
 use crate::ventilator::Mode;
 use crate::weights::IMAGE_BYTES;
 use crate::weights::slots::{Slot, SlotState, StoreError};
@@ -87,8 +92,8 @@ pub trait Store {
     reason = "a chip has no allocator, and every request ends with the larger one"
 )]
 pub enum NextStep {
-    /// Let the control half execute this request, then call [`Server::control_replied`].
-    Control(ControlRequest),
+    /// Let the control half execute this request of a host in this role, then call [`Server::control_replied`].
+    Control(ControlRequest, HostRole),
     /// Send this answer.
     Answer(Answer),
 }
@@ -107,6 +112,8 @@ pub struct Answer {
 enum Continuation {
     /// Forward the reply to the host.
     Forward,
+    /// Send the last answer: the control half was only to hear the host.
+    Answered,
     /// Complete the greeting with the reply.
     Greet,
     /// Begin an upload, unless the device ventilates.
@@ -131,6 +138,8 @@ pub struct Server<'a> {
     counters: Counters,
     upload: Upload,
     lease: Lease,
+    /// Token of the host that has started the exploration.
+    explorer: Option<u32>,
     sequence: u16,
     continuation: Continuation,
     /// Sequence number, host and answer of the last request.
@@ -149,6 +158,7 @@ impl<'a> Server<'a> {
             batcher: Batcher::default(),
             counters: Counters::default(),
             upload: Upload::new(),
+            explorer: None,
             sequence: 0,
             continuation: Continuation::Forward,
             last: None,
@@ -172,7 +182,9 @@ impl<'a> Server<'a> {
         let mut step = self.receive(message, tick, store);
         loop {
             step = match step {
-                NextStep::Control(request) => self.control_replied(control.execute(&request), store),
+                NextStep::Control(request, role) => {
+                    self.control_replied(control.execute_for(&request, role), store)
+                }
                 NextStep::Answer(answer) => return answer,
             };
         }
@@ -182,13 +194,23 @@ impl<'a> Server<'a> {
     pub fn receive(&mut self, message: &ToDevice, tick: u32, store: &mut impl Store) -> NextStep {
         let ToDevice { sequence, request, host } = message;
         self.lease.heard(*host, tick);
-        if let Some((.., response)) = self.last.as_ref().filter(|last| (last.0, last.1) == (*sequence, *host))
-            && *request != Request::Identify
-        {
-            let message = ToHost::Response { sequence: *sequence, response: response.clone() };
-            return NextStep::Answer(Answer { message, restart: false });
+        let is_repeated = self.last.as_ref().is_some_and(|last| (last.0, last.1) == (*sequence, *host));
+        if is_repeated && *request != Request::Identify {
+            return self.answer_again();
         }
         (self.sequence, self.host) = (*sequence, *host);
+        let step = self.begin(request, tick, store);
+        match (step, self.role()) {
+            (NextStep::Answer(_), role @ (HostRole::Steers | HostRole::Attends)) => {
+                self.continuation = Continuation::Answered;
+                NextStep::Control(ControlRequest::Status, role)
+            }
+            (step, _) => step,
+        }
+    }
+
+    /// Begins a new request.
+    fn begin(&mut self, request: &Request, tick: u32, store: &mut impl Store) -> NextStep {
         if let Err(refusal) = self.permits(request) {
             return self.send(Err(refusal));
         }
@@ -238,17 +260,23 @@ impl<'a> Server<'a> {
                 return self.send(Ok(Response::Telemetry { on: *on }));
             }
             Request::AcquireLease { name, take_over } => {
-                let status = self.lease.acquire(*host, *name, *take_over, tick);
+                let status = self.lease.acquire(self.host, *name, *take_over, tick);
                 return self.send(status.map(Response::Lease));
             }
             Request::ReleaseLease => {
-                let status = self.lease.release(*host);
+                let status = self.lease.release(self.host);
                 return self.send(Ok(Response::Lease(status)));
             }
-            Request::GetLease => return self.send(Ok(Response::Lease(self.lease.status(*host)))),
+            Request::GetLease => return self.send(Ok(Response::Lease(self.lease.status(self.host)))),
         };
         self.continuation = continuation;
-        NextStep::Control(control_request)
+        NextStep::Control(control_request, self.role())
+    }
+
+    /// What the host of the request is to the ventilation.
+    fn role(&self) -> HostRole {
+        let explores = self.host.is_some() && self.host == self.explorer;
+        if explores { HostRole::Steers } else { self.lease.role(self.host) }
     }
 
     /// Whether the lease allows a request of the host.
@@ -264,12 +292,20 @@ impl<'a> Server<'a> {
     /// Continues after [`NextStep::Control`] with the control half's reply.
     pub fn control_replied(&mut self, reply: ControlReply, store: &mut impl Store) -> NextStep {
         let status = match reply {
-            ControlReply::Response(response) => return self.send(Ok(response)),
+            ControlReply::Response(response) => {
+                if let Response::Exploration(exploration) = &response {
+                    self.explorer = self.host.filter(|_| exploration.is_some());
+                }
+                return self.send(Ok(response));
+            }
             ControlReply::Status(status) => status,
         };
-        let idle = if status.mode == Mode::Ventilating { Err(Refusal::Ventilating) } else { Ok(()) };
+        // A ventilation that waits to resume is not to be delayed, nor lost by a restart that nobody meant to end it.
+        let ventilates = status.mode == Mode::Ventilating || status.resumes;
+        let idle = if ventilates { Err(Refusal::Ventilating) } else { Ok(()) };
         match self.continuation {
             Continuation::Forward => self.send(Ok(Response::Mode(status.mode))),
+            Continuation::Answered => self.answer_again(),
             Continuation::Greet => {
                 let identity = self.identity(&status);
                 self.send(Ok(Response::Identity(identity)))
@@ -278,15 +314,15 @@ impl<'a> Server<'a> {
                 let begun = idle.and_then(|()| self.upload.begin(length, id));
                 self.send(begun.map(|offset| Response::Progress { offset }))
             }
-            // An erase stalls the chip, and with it the command of a valve.
-            Continuation::Commit if status.moves_valves => self.send(Err(Refusal::SelfTestRuns)),
-            Continuation::Commit => match idle.and_then(|()| self.upload.commit(&self.facts.trust)) {
-                Ok(id) => self.store_weights(id, store),
-                Err(refusal) => self.send(Err(refusal)),
-            },
+            Continuation::Commit => {
+                match may_erase(&status).and_then(|()| self.upload.commit(&self.facts.trust)) {
+                    Ok(id) => self.store_weights(id, store),
+                    Err(refusal) => self.send(Err(refusal)),
+                }
+            }
             Continuation::StoreCalibration(calibration) => {
-                let stored = may_calibrate(&status, &calibration);
-                let stored = stored.and_then(|()| store.store_calibration(&calibration));
+                let valid = may_erase(&status).and_then(|()| Ok(calibration.validate()?));
+                let stored = valid.and_then(|()| store.store_calibration(&calibration));
                 self.calibration_stored(&calibration, stored)
             }
             Continuation::Calibrated { stored, calibration } => {
@@ -316,7 +352,7 @@ impl<'a> Server<'a> {
         match stored.and_then(|stored| Ok((stored, correction?))) {
             Ok((stored, correction)) => {
                 self.continuation = Continuation::Calibrated { stored, calibration: *calibration };
-                NextStep::Control(ControlRequest::Calibrate(correction))
+                NextStep::Control(ControlRequest::Calibrate(correction), self.role())
             }
             Err(refusal) => self.send(Err(refusal)),
         }
@@ -332,6 +368,14 @@ impl<'a> Server<'a> {
     fn answer(&mut self, response: Response) -> ToHost {
         self.last = Some((self.sequence, self.host, response.clone()));
         ToHost::Response { sequence: self.sequence, response }
+    }
+
+    /// Sends the last answer again.
+    fn answer_again(&self) -> NextStep {
+        // There is one: the callers have looked, or just made it.
+        let (sequence, _, response) = self.last.clone().unwrap_or((self.sequence, self.host, Response::Done));
+        let message = ToHost::Response { sequence, response };
+        NextStep::Answer(Answer { message, restart: false })
     }
 
     fn identity(&self, status: &Status) -> DeviceIdentity {
@@ -369,7 +413,13 @@ impl<'a> Server<'a> {
             }
             ControlReport::Breath(summary) => (None, Some(Event::Breath(summary))),
             ControlReport::Stopped => (self.batcher.flush(&self.counters), None),
-            ControlReport::Alarm { fault, tick } => (None, Some(Event::Alarm { fault, tick })),
+            ControlReport::Alarm { fault, tick } => {
+                if fault == Fault::HostSilent {
+                    // This alarm has ended the exploration.
+                    self.explorer = None;
+                }
+                (None, Some(Event::Alarm { fault, tick }))
+            }
             ControlReport::Unacknowledged { fault, tick } => {
                 (None, Some(Event::Unacknowledged { fault, tick }))
             }
@@ -379,13 +429,12 @@ impl<'a> Server<'a> {
     }
 }
 
-/// Whether a calibration may be stored. A store may erase a sector, which stalls the chip: so neither while the valves move nor
-/// in the safe state, which an operator wants to leave without delay.
-fn may_calibrate(status: &Status, calibration: &Calibration) -> Result<(), Refusal> {
-    match status.mode {
-        Mode::Ventilating => Err(Refusal::Ventilating),
-        Mode::Fault(_) => Err(Refusal::FaultLatched),
-        Mode::Standby if status.moves_valves => Err(Refusal::SelfTestRuns),
-        Mode::Standby => Ok(calibration.validate()?),
+/// Whether something may be stored, as [`Status::leave`] says. A store may erase a sector, which stalls the chip.
+fn may_erase(status: &Status) -> Result<(), Refusal> {
+    match (status.leave(), status.mode) {
+        (Leave::Erase, _) => Ok(()),
+        (_, Mode::Fault(_)) => Err(Refusal::FaultLatched),
+        (_, Mode::Standby) if status.moves_valves => Err(Refusal::SelfTestRuns),
+        (_, Mode::Standby | Mode::Ventilating) => Err(Refusal::Ventilating),
     }
 }

@@ -3,6 +3,7 @@ mod calibration;
 mod lease;
 mod recorder;
 mod self_test;
+mod silence;
 mod store;
 mod summaries;
 mod trust;

@@ -1,5 +1,7 @@
 //! Tests of the prescription: every interruption, at every store.
 
+use super::super::Status;
+use super::super::self_test::Check;
 use super::*;
 use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
 use crate::link::messages::DeviceKind;
@@ -50,8 +52,7 @@ impl<'a> Run<'a> {
     }
 
     fn ask(&mut self, request: ControlRequest) {
-        self.prescription.requested(&request);
-        self.control.execute(&request);
+        self.prescription.execute(&mut self.control, &request, HostRole::Steers);
     }
 
     /// Ventilates with these settings for a number of breaths.
@@ -236,6 +237,35 @@ fn who_starts_a_waiting_device_before_its_first_reading_decides() {
     run.ticks(2);
     assert_eq!(run.control.prescription(), Some(paper_settings(10.0)));
     assert_eq!(resumed(&memory, DIP), Some(paper_settings(10.0)));
+}
+
+/// The answer to a request, which the server gets from a device that may wait to resume.
+fn status(run: &mut Run) -> Status {
+    match run.prescription.execute(&mut run.control, &ControlRequest::Status, HostRole::Steers) {
+        ControlReply::Status(status) => status,
+        reply @ ControlReply::Response(_) => panic!("{reply:?}"),
+    }
+}
+
+#[test]
+fn the_flash_is_left_alone_while_ventilation_waits_to_resume() {
+    let memory = noted();
+    let mut run = Run { control: device(), prescription: Prescription::attach(&memory, DIP, None) };
+    run.ticks(100);
+    assert_eq!(run.prescription.leave(&run.control), Leave::Nothing);
+    assert_eq!((status(&mut run).mode, status(&mut run).leave()), (Mode::Standby, Leave::Nothing));
+    let check = ControlRequest::SelfTest(Some(Check::Circuit));
+    let refused = ControlReply::Response(Response::Refused(Refusal::Ventilating));
+    assert_eq!(run.prescription.execute(&mut run.control, &check, HostRole::Steers), refused);
+    assert!(!status(&mut run).moves_valves);
+    let results = ControlRequest::SelfTest(None);
+    assert_ne!(run.prescription.execute(&mut run.control, &results, HostRole::Steers), refused);
+    run.ask(ControlRequest::Stop);
+    run.ticks(1);
+    assert_eq!(
+        (run.prescription.leave(&run.control), status(&mut run).leave()),
+        (Leave::Erase, Leave::Erase)
+    );
 }
 
 #[test]
@@ -447,7 +477,9 @@ proptest! {
         let memory = noted();
         for _ in 0..RESUMES {
             let mut run = Run::start(&memory, HANG);
-            readings.iter().for_each(|reading| run.ticks_on(1, *reading));
+            for reading in &readings {
+                run.ticks_on(1, *reading);
+            }
             prop_assert_eq!(run.control.prescription(), Some(paper_settings(25.0)));
             if stops {
                 run.ask(ControlRequest::Stop);

@@ -1,6 +1,9 @@
 //! Storing weights on request: what is stored, and when not.
 
 use super::*;
+use crate::calibration::tests::SOUND;
+use crate::device::prescription::{Interruption, Prescription, PrescriptionMemory};
+use crate::device::server::{Answer, NextStep};
 
 #[test]
 fn an_uploaded_image_is_stored_and_named() {
@@ -43,4 +46,71 @@ fn nothing_is_stored_while_a_check_moves_the_valves() {
     assert!(matches!(rig.ask(Request::RunSelfTest(Check::Circuit)), Response::SelfTest(_)));
     assert_eq!(rig.ask(Request::CommitWeights), Response::Refused(Refusal::SelfTestRuns));
     assert_eq!(rig.flash.images.len(), 0);
+}
+
+/// A request to a device whose control half may wait to resume.
+fn ask_through(rig: &mut Rig, prescription: &mut Prescription, request: Request) -> Response {
+    rig.sequence += 1;
+    let message = ToDevice { sequence: rig.sequence, request, host: HOST };
+    let mut step = rig.server.receive(&message, rig.ticks, &mut rig.flash);
+    loop {
+        step = match step {
+            NextStep::Control(request, role) => {
+                let reply = prescription.execute(&mut rig.control, &request, role);
+                rig.server.control_replied(reply, &mut rig.flash)
+            }
+            NextStep::Answer(Answer { message: ToHost::Response { response, .. }, restart }) => {
+                rig.restarts += usize::from(restart);
+                return response;
+            }
+            NextStep::Answer(other) => panic!("no answer: {other:?}"),
+        };
+    }
+}
+
+/// With a low supply: an erase would run into the resumption, and a restart would end what nobody stopped.
+#[test]
+fn nothing_is_stored_and_nothing_restarts_while_ventilation_waits_to_resume() {
+    let memory = PrescriptionMemory::new();
+    let mut first = Prescription::attach(&memory, None, None);
+    let mut ventilated = control(DeviceKind::Simulated, None);
+    begin(&mut ventilated);
+    for _ in 0..2 {
+        let output = ventilated.step(5.0);
+        first.keep(&ventilated, &output);
+    }
+    let (mut rig, image) = (Rig::new(None), image());
+    upload(&mut rig, &image);
+    let mut waiting = Prescription::attach(&memory, Some(Interruption::Supply), None);
+    assert!(waiting.is_due());
+    let stores = [
+        Request::CommitWeights,
+        Request::StoreCalibration(SOUND),
+        Request::BeginWeights { length: IMAGE_BYTES as u32, id: 1 },
+        Request::Reset,
+    ];
+    for request in stores.clone() {
+        let refused = ask_through(&mut rig, &mut waiting, request.clone());
+        assert_eq!(refused, Response::Refused(Refusal::Ventilating), "{request:?}");
+    }
+    assert_eq!((rig.flash.images.len(), rig.flash.calibrations.count(), rig.restarts), (0, 0, 0));
+    assert!(waiting.is_due());
+    assert_eq!(ask_through(&mut rig, &mut waiting, Request::Stop), Response::Mode(Mode::Standby));
+    for request in stores {
+        let answer = ask_through(&mut rig, &mut waiting, request.clone());
+        assert!(!matches!(answer, Response::Refused(_)), "{request:?}: {answer:?}");
+    }
+    assert_eq!((rig.flash.images.len(), rig.flash.calibrations.count(), rig.restarts), (1, 1, 1));
+}
+
+#[test]
+fn no_weights_are_stored_in_the_safe_state() {
+    let (mut rig, image) = (Rig::new(None), image());
+    upload(&mut rig, &image);
+    rig.start();
+    rig.run(20);
+    rig.run_at(800, 70.0);
+    assert_eq!(rig.ask(Request::CommitWeights), Response::Refused(Refusal::FaultLatched));
+    rig.ask(Request::Acknowledge);
+    assert_eq!(rig.ask(Request::CommitWeights), Response::Weights { id: image.1, slot: Slot::B });
 }
