@@ -47,7 +47,8 @@ pub struct ReadingMonitor {
 pub struct ReadingState {
     last_good: Option<f32>,
     before: f32,
-    /// Missing readings, each counted [`MAKE_UP`] times, minus the good readings since.
+    /// Missing readings, each counted [`MAKE_UP`] times, minus the good readings since; no more than makes a fault, so that a sensor
+    /// that was away for long owes no more than one that was away briefly.
     debt: u32,
     /// Number of missing readings by problem since the debt was last zero: not a number, out of range, jump.
     problems: [u32; 3],
@@ -149,7 +150,8 @@ impl ReadingMonitor {
 
     fn bridge(&self, state: &mut ReadingState, problem: Fault) -> Believed {
         state.gap = state.gap.saturating_add(1);
-        state.debt = state.debt.saturating_add(MAKE_UP);
+        let enough = self.missing * MAKE_UP;
+        state.debt = (state.debt + MAKE_UP).min(enough);
         let [no_number, out_of_range, jumps] = &mut state.problems;
         let count = match problem {
             Fault::ReadingNotANumber => no_number,
@@ -157,7 +159,7 @@ impl ReadingMonitor {
             _ => jumps,
         };
         *count = count.saturating_add(1);
-        let fault = (state.debt >= self.missing * MAKE_UP).then(|| state.main_problem());
+        let fault = (state.debt >= enough).then(|| state.main_problem());
         Believed { pressure: state.last_good, fresh: false, fault }
     }
 
@@ -233,6 +235,27 @@ mod tests {
             found(alive(15.0).enumerate().map(with_gaps).take(3000))
         };
         assert_eq!((every(20), every(5)), (None, nan));
+    }
+
+    /// Faults in 3 s with one reading in so many missing, after the sensor was away and then sound for some milliseconds.
+    fn faults_after(away: usize, sound: usize, every: usize) -> usize {
+        let (monitor, mut state) = monitor(Monitors::ALL);
+        let mut check = |reading| monitor.check(&mut state, reading, true, true).fault.is_some();
+        (0..away).for_each(|_| _ = check(f32::NAN));
+        alive(15.0).take(sound).for_each(|reading| _ = check(reading));
+        let later = alive(15.0).take(3000).enumerate();
+        later.filter(|(n, reading)| check(if n.is_multiple_of(every) { f32::NAN } else { *reading })).count()
+    }
+
+    #[test]
+    fn a_sensor_that_was_away_for_long_owes_no_more_than_one_that_was_away_briefly() {
+        let sound_again = (super::super::source::SOUND_AGAIN * 1000.0) as usize;
+        for away in [5, 100, 60_000] {
+            for sound in [MAKE_UP as usize * 5, sound_again] {
+                assert_eq!(faults_after(away, sound, 20), 0, "away for {away} ms, sound for {sound}");
+            }
+            assert!(faults_after(away, sound_again, 5) > 0, "and it is watched as before");
+        }
     }
 
     #[test]
@@ -328,6 +351,22 @@ mod tests {
     }
 
     proptest! {
+        /// Whatever the sensor did before: once nothing is owed, fewer missing readings than make a fault are none.
+        #[test]
+        fn few_missing_readings_are_no_fault_once_the_sensor_has_made_up_for_all(
+            before in prop::collection::vec((prop_oneof![Just(f32::NAN), Just(500.0f32), Just(15.0f32)], 1usize..500), 0..20),
+            missing in 0usize..5,
+        ) {
+            let (monitor, mut state) = monitor(Monitors::ALL);
+            for (reading, ticks) in before {
+                (0..ticks).for_each(|_| _ = monitor.check(&mut state, reading, true, true));
+            }
+            alive(15.0).take(45).for_each(|reading| _ = monitor.check(&mut state, reading, true, true));
+            for _ in 0..missing {
+                prop_assert_eq!(monitor.check(&mut state, f32::NAN, true, true).fault, None);
+            }
+        }
+
         #[test]
         fn whatever_is_read_what_is_believed_is_a_number_in_range(
             readings in prop::collection::vec(prop::num::f32::ANY, 1..200),
