@@ -163,6 +163,23 @@ fn a_breath_during_an_alarm_is_left_out() {
     assert_eq!((&lessons[0][1..], &lessons[1][..]), (&[Lesson::Adopt][..], &[Lesson::Discard][..]));
 }
 
+/// Also under an alarm that takes nothing away from the network.
+#[test]
+fn breaths_are_left_out_until_an_alarm_is_no_longer_present() {
+    let lessons = taught(6, |ventilator, state, _| {
+        if state.breath_number() == 1 && state.tick() == 300 {
+            ventilator.raise(state, Fault::HighPressure);
+        }
+        assert_eq!(state.level(), Level::Learned);
+        // It stays for two breaths without a finding.
+        let at = (state.breath_number(), state.tick());
+        assert_eq!(!state.indications().present().is_empty(), ((1, 300)..=(3, 300)).contains(&at), "{at:?}");
+    });
+    let learned: Vec<_> = lessons.iter().filter_map(|lessons| lessons.last().copied()).collect();
+    let (adopt, discard) = (Lesson::Adopt, Lesson::Discard);
+    assert_eq!(learned, [adopt, discard, discard, discard, adopt, adopt]);
+}
+
 #[test]
 fn a_perturbed_breath_is_left_out() {
     let ventilator = Ventilator::new(DEFAULT_PERIOD_US, Pupil)

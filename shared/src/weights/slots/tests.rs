@@ -205,7 +205,11 @@ fn a_sound_image_that_the_decoder_refuses_falls_back_and_is_the_one_overwritten(
     let mut slots = Slots::new(stored(stored(Nor::<4>::new(), &old), &forged), STARTS);
     assert_eq!(slots.load(Image::clone).unwrap().0, Slot::A);
     assert_eq!(slots.states()[1], SlotState::Invalid(ImageProblem::Golden));
-    assert_eq!(slots.store(&image(3.0)).unwrap().0, Slot::B, "the slot that runs stays");
+    let new = image(3.0);
+    assert_eq!(slots.store(&new).unwrap().0, Slot::B, "the slot that runs stays");
+    // The refusal was that of the image before.
+    assert_eq!(slots.states()[1], SlotState::Valid { generation: 1, id: id(&new) });
+    assert_eq!(slots.load(|image| image.id), Some((Slot::B, id(&new))));
 }
 
 #[test]
