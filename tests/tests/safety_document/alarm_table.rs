@@ -251,9 +251,10 @@ fn device() -> Vec<Conditions> {
         (
             Fault::HostSilent,
             format!(
-                "{silent} s without a request while ventilating; ventilation continues, exploration ends"
+                "{silent} s without a request of the host that steers while ventilating; ventilation continues, exploration \
+                 ends"
             ),
-            "the next request from a host",
+            "its next request, or that of a host that takes over",
         ),
         (
             Fault::WeightsRefused,

@@ -1,7 +1,7 @@
 //! The sentences of the documents that state numbers, each beside the constant that acts.
 
 use super::SAFETY;
-use super::figures::{ms, number, percent, tenths, whole};
+use super::figures::{grouped, ms, number, percent, tenths, whole};
 use super::sentence::{Claim, quoted};
 use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
@@ -12,8 +12,10 @@ use shared::control::memory::{LEARNING, SURPRISE};
 use shared::device::REPEAT_TIME;
 use shared::device::absence::LONGEST_ABSENCE_S;
 use shared::device::prescription::RESUMES;
+use shared::flash::journal::RECORD_BYTES;
 use shared::link::refusal::AUDIO_PAUSE_MAX;
 use shared::recorder::LOG_INTERVAL;
+use shared::recorder::keeper::Keeper;
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS};
 use shared::safety::source::{DOUBTFUL, TUBE};
@@ -22,11 +24,13 @@ use shared::safety::{backup, breath_monitor, expected, expiration, lung_estimato
 use shared::settings::{LIMIT_MARGIN, Settings};
 use shared::timing::{LEASE_S, WATCHDOG_MAX_US, WATCHDOG_US};
 use shared::trigger;
+use shared::weights::slots::SLOT_BYTES;
 use trials::faults::cases::{HAZARDS, LIMIT, LIMITS, PIP, RELIEF};
 use trials::faults::matrix::{BACK_WITHIN_MS, VENT_WITHIN_MS};
 use trials::faults::{torture, trial};
 
 const HARDWARE: &str = "docs/HARDWARE.md";
+const PORTING: &str = "docs/PORTING.md";
 const FROZEN_TESTS: &str = "lab/trials/src/faults/frozen_tests.rs";
 const RESET_TESTS: &str = "tests/tests/qemu/recovery.rs";
 const SUPPLY: &str = "firmware/src/chip/drivers/supply.rs";
@@ -35,10 +39,11 @@ const SUPPLY: &str = "firmware/src/chip/drivers/supply.rs";
 pub fn claims() -> Vec<(&'static str, Claim)> {
     let safety =
         [words(), control(), resets(), sensors(), alarms(), matrix(), delays(), bounds(), not_covered()];
-    let hardware = [circuit_check(), relief_check(), chip()];
+    let hardware = [circuit_check(), relief_check(), chip(), slots()];
     let of = |document| move |claim| (document, claim);
     let safety = safety.into_iter().flatten().map(of(SAFETY));
-    safety.chain(hardware.into_iter().flatten().map(of(HARDWARE))).collect()
+    let hardware = hardware.into_iter().flatten().map(of(HARDWARE));
+    safety.chain(hardware).chain(flash().into_iter().map(of(PORTING))).collect()
 }
 
 /// A sentence with these numbers in place of `{}`.
@@ -287,4 +292,15 @@ fn chip() -> Vec<Claim> {
         says("lapses after {} s without a request", [number(LEASE_S)]),
         says("settings; after {} s exploration ends", [number(SILENCE_MAX)]),
     ]
+}
+
+/// Room that the weights need on a board with little flash.
+fn slots() -> Vec<Claim> {
+    vec![says("if the weights ({} bytes each) moved to", [grouped(SLOT_BYTES)])]
+}
+
+/// Room in flash that a board must have.
+fn flash() -> Vec<Claim> {
+    let stored = [SLOT_BYTES, Keeper::BYTES, RECORD_BYTES as u32];
+    vec![says("A slot uses {} bytes, a copy {} and a calibration {}, but", stored.map(grouped))]
 }

@@ -31,6 +31,17 @@ pub fn whole(value: f64) -> String {
     rounded(value, 0)
 }
 
+/// A number of bytes, with its thousands apart.
+pub fn grouped(bytes: u32) -> String {
+    let (thousands, rest) = (bytes / 1000, bytes % 1000);
+    if thousands == 0 { rest.to_string() } else { format!("{},{rest:03}", grouped(thousands)) }
+}
+
+#[test]
+fn thousands_are_apart() {
+    assert_eq!([64, 6_688, 42_016, 1_000_000].map(grouped), ["64", "6,688", "42,016", "1,000,000"]);
+}
+
 #[test]
 fn numbers_have_no_noise_and_no_zeros_at_their_end() {
     assert_eq!([number(0.4_f32), number(100_u32), number(-30.0_f32)], ["0.4", "100", "-30"]);

@@ -22,7 +22,9 @@ use tried::try_all;
 
 /// The release of cargo-mutants; [`LIST`] names mutations in its words.
 const VERSION: &str = "27.1.0";
-/// What is mutated: all that decides about a valve, and what stands between a host or a flash and that.
+/// What is mutated: all that decides about a valve, and what stands between a host or a flash and that. Safety includes the choice of
+/// the sensor (`source`) and backup ventilation, control what is learned from breath to breath (`memory`), and device what survives
+/// a reset (`prescription`).
 const AREAS: [&str; 7] = [
     "shared/src/safety/**",
     "shared/src/control/**",
@@ -36,8 +38,14 @@ const AREAS: [&str; 7] = [
 const LIST: &str = "shared/survivors.toml";
 /// Arguments of `cargo xtask mutants`.
 #[derive(clap::Args)]
-#[command(after_help = "Example: one file, after a change to it or to its tests\n    \
-                        cargo xtask mutants --file shared/src/safety/ladder.rs")]
+#[command(
+    after_help = "By default all of shared's safety (with source and backup), control (with memory), ventilator, trigger, device \
+                        (with lease and prescription), weights and link are mutated.\n\n\
+                        A mutant has another operator, guard, arm or field, or a function with another result. None lacks a whole \
+                        statement, such as the reset of a field: each of those needs a test that was seen to fail without it.\n\n\
+                        Example: one file, after a change to it or to its tests\n    \
+                        cargo xtask mutants --file shared/src/safety/ladder.rs"
+)]
 pub struct Arguments {
     /// Mutate only these files of the core; may hold `*` and `**`
     #[arg(long, value_name = "GLOB")]
@@ -282,6 +290,41 @@ mod tests {
             let text = mutant.entry().replace("\"\"", "\"harmless\"");
             let list: List = toml::from_str(&text).unwrap();
             assert!(list.accepted[0].explains(&mutant), "{text}");
+        }
+    }
+
+    /// Parts in which a defect would not show in a well-behaved breath: they are in an area, and their functions share a build.
+    #[test]
+    fn what_acts_only_after_a_fault_or_a_reset_is_mutated() {
+        let files = [
+            "safety/source.rs",
+            "safety/backup.rs",
+            "safety/supervisor.rs",
+            "safety/supervisor/state.rs",
+            "control/memory.rs",
+            "ventilator.rs",
+            "trigger.rs",
+            "device/control.rs",
+            "device/lease.rs",
+            "device/server.rs",
+            "device/prescription.rs",
+            "weights/slots.rs",
+        ];
+        let shell = Shell::new().unwrap();
+        shell.change_dir("..");
+        for file in files.map(|file| format!("shared/src/{file}")) {
+            let is_in = |area: &&str| file.starts_with(area.trim_end_matches('*'));
+            assert!(AREAS.iter().any(is_in), "{file} is in no area");
+            let source = shell.read_file(&file).unwrap();
+            // A mutation at the start of each body, as far as the text tells where one is.
+            let starts = source.match_indices(" {\n").map(|(at, text)| at + text.len());
+            let mutations: Vec<_> = (1..)
+                .zip(starts)
+                .map(|(number, at)| graft::Mutation { number, range: at..at, replacement: "" })
+                .collect();
+            let grafted = graft::graft(&source, &mutations).unwrap();
+            let share = mutations.len() - grafted.alone.len();
+            assert!(2 * share > mutations.len(), "{file}: {share} of {} share a build", mutations.len());
         }
     }
 

@@ -138,6 +138,11 @@ fn a_host_that_has_given_the_lease_back_is_not_missed_by_one_that_watches() {
     let mut rig = without_exploration();
     poll(&mut rig, OTHER, 11);
     assert_eq!(silences(&rig), 1, "one that has not given it back is missed");
+    let mut rig = without_exploration();
+    rig.ask(Request::ReleaseLease);
+    rig.ask(Request::ApplySettings(Settings::default()));
+    poll(&mut rig, OTHER, 11);
+    assert_eq!(silences(&rig), 1, "nor one that has acquired it again");
     let mut rig = exploring();
     rig.ask(Request::ReleaseLease);
     poll(&mut rig, OTHER, 11);
