@@ -126,6 +126,9 @@ pub enum Finding {
     /// An alarm ended the step.
     #[error("an alarm ended the test; find its cause, acknowledge it and repeat the test")]
     Alarm,
+    /// Gas leaves the circuit through the patient port.
+    #[error("gas flows through the patient port; disconnect the patient, close the port and repeat the test")]
+    PortOpen,
 }
 
 /// State of a step. The order of the variants is part of the link's protocol: append only.

@@ -12,6 +12,7 @@
 use crate::breath::{Breath, Moment};
 use crate::control::COMMAND_MAX;
 use crate::math;
+use core::cmp::Ordering;
 
 /// Time bins of an inspiration.
 const BINS: usize = 64;
@@ -117,6 +118,33 @@ impl Backup {
             && self.measured <= PLAUSIBLE.1 * self.modelled + IN_CIRCUIT
     }
 
+    /// Whether the flow sensor has shown far less gas in the running inspiration than the valve's model.
+    pub fn lacks_gas(&self) -> bool {
+        self.measured < PLAUSIBLE.0 * self.modelled - IN_CIRCUIT
+    }
+
+    /// At the end of an inspiration: whether the flow sensor has shown its gas, or far less or more than the valve's model; none if
+    /// that is too little to tell, or a reading was missing.
+    pub fn gas_shown(&self) -> Option<Ordering> {
+        let compare = || match (self.is_near_model(), self.is_flow_sound()) {
+            (false, _) => Ordering::Less,
+            (true, true) => Ordering::Equal,
+            (true, false) => Ordering::Greater,
+        };
+        (self.modelled >= IN_CIRCUIT && !self.measured.is_nan()).then(compare)
+    }
+
+    /// Whether not far less than the model's volume was measured: at the end of an inspiration the circuit has had its share.
+    fn is_near_model(&self) -> bool {
+        self.measured > 0.0 && self.measured >= PLAUSIBLE.0 * self.modelled
+    }
+
+    /// Rise of the pressure per volume of the last good breaths, cmH2O/mL; none before the first with a sound flow sensor.
+    pub fn elastance(&self) -> Option<f32> {
+        let course = self.course.as_ref().filter(|course| course.whole > 0.0)?;
+        self.rise.map(|rise| rise / course.whole)
+    }
+
     /// Records the command of a tick of an inspiration, percent. It fills all bins up to the next tick's, since a slow control
     /// period has fewer ticks than there are bins. After a gap nothing more of the inspiration is recorded.
     #[inline]
@@ -168,9 +196,7 @@ impl Backup {
         if changed {
             self.course = None;
         }
-        // At the end of an inspiration the circuit has had its share: whatever was measured must be near the model.
-        let is_near = self.measured > 0.0 && self.measured >= PLAUSIBLE.0 * self.modelled;
-        if !(is_near && self.is_flow_sound()) {
+        if !(self.is_near_model() && self.is_flow_sound()) {
             return;
         }
         let before = self.course.as_ref().map_or(self.measured, |course| course.whole);

@@ -4,7 +4,9 @@
 //!   breaths, and for a pressure below PEEP all the same. So a leak does not look like an effort. Much flow is an alarm.
 //! * It is still falling when the next breath is due (obstruction, trapped gas): the expiration lasts longer.
 //! * It stands constant above PEEP (the PEEP valve is stuck): PIP rises by as much, so that the breaths keep their volume.
-//!   Not so unless the flow sensor shows that the gas gets out again.
+//!   Not so unless the flow sensor shows that the gas gets out again, and the pressure itself swings with the breath; and not
+//!   for gas that is trapped behind a resistance, whose pressure falls as its flow does. An expiration that an effort ends is
+//!   judged by what it was before the effort.
 
 use super::breath_monitor::{ABOVE_PEEP, UNCHECKED_BREATHS};
 use super::leak::{Leak, Loss};
@@ -50,10 +52,20 @@ pub const LEAKS: u32 = 5;
 pub const IN_A_ROW: u32 = 2;
 /// Part of a breath, one in so many, by which an expiration may be longer.
 pub const LONGER: u32 = 2;
-/// Time before the end of the expiration from which a constant pressure has changed little, s.
-const CONSTANT_FOR: f32 = 0.5;
-/// Largest such change, cmH2O.
+/// Time between two samples of the expiration, s.
+const SAMPLED: f32 = 0.125;
+/// Samples that are kept: a constant pressure has changed little since the oldest of them.
+const SAMPLES: usize = 5;
+/// Samples that may belong to the effort that ends an expiration.
+const OF_EFFORT: usize = 1;
+/// Largest such change without a flow, cmH2O.
 const CONSTANT: f32 = 0.5;
+/// Flow out of the lung from which it still empties, L/s.
+const EMPTIES: f32 = 0.02;
+/// Share of the fall that the flow's own predicts behind a resistance from which the pressure falls with the flow, and the smallest
+/// such fall, cmH2O: noise causes less.
+const WITH_FLOW: f32 = 0.5;
+const WITH_FLOW_LEAST: f32 = 0.1;
 /// Share of the inspired volume that must come out before PIP may follow its baseline.
 const COMES_OUT: f32 = 0.5;
 /// Distance from the pressure limit that PIP keeps when it rises, cmH2O: more than a normal overshoot.
@@ -69,7 +81,8 @@ pub struct Expiration {
     responses: Responses,
     period: f32,
     smoothing: f32,
-    constant_for: u32,
+    /// [`SAMPLED`] in ticks.
+    sampled: u32,
     /// Expirations after which a leak, or a PEEP that flow alone holds, is an alarm.
     leaks: u32,
     held: u32,
@@ -92,9 +105,11 @@ pub struct ExpirationState {
     lowest: f32,
     /// Breaths that are still not compared after a change of the settings.
     unchecked: u32,
-    /// Smoothed pressure, and what it was [`CONSTANT_FOR`] before the end of the expiration, cmH2O.
+    /// Smoothed pressure, cmH2O.
     smooth: f32,
-    earlier: f32,
+    /// Samples of the expiration, a ring, and their number so far.
+    samples: [Sample; SAMPLES],
+    sampled: usize,
     /// Incomplete expirations in a row.
     incomplete: u32,
     /// Whether the last of them was still falling.
@@ -102,6 +117,24 @@ pub struct ExpirationState {
     /// Constant baseline above PEEP, and the rise of PIP with it, cmH2O.
     above: f32,
     shift: f32,
+}
+
+/// Smoothed pressure, cmH2O, and smoothed flow towards the patient, L/s.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Sample {
+    pressure: f32,
+    flow: f32,
+}
+
+impl Sample {
+    /// Whether the pressure falls from this sample to a later one. While gas comes out, it must fall as its flow does: then the gas is
+    /// trapped behind a resistance. A PEEP valve that is stuck holds most of the pressure whatever the flow.
+    fn falls_to(self, later: Self, peep: f32) -> bool {
+        let fall = self.pressure - later.pressure;
+        let (out, less) = (-self.flow, later.flow - self.flow);
+        let with_flow = WITH_FLOW * (self.pressure - peep) * less;
+        if out > EMPTIES { fall > WITH_FLOW_LEAST && fall * out > with_flow } else { fall > CONSTANT }
+    }
 }
 
 impl Expiration {
@@ -113,21 +146,30 @@ impl Expiration {
             responses: enabled.responses(),
             period,
             smoothing: math::lag_factor(SMOOTHING, period),
-            constant_for: ticks(CONSTANT_FOR, period_us),
+            sampled: ticks(SAMPLED, period_us),
             leaks: enabled.limit(Fault::Leak, LEAKS),
             held: enabled.limit(Fault::BaselineLow, LEAKS),
         }
     }
 
-    /// Records the pressure of a tick of a breath, cmH2O. A doubtful pressure, or that of an open tube, raises no flow.
+    /// Records the pressure of a tick of a breath, cmH2O, and its smoothed flow, L/s. A doubtful pressure, or that of an open tube,
+    /// raises no flow.
     #[inline]
-    pub fn observe(&self, state: &mut ExpirationState, moment: &Moment, pressure: f32, doubtful: bool) {
+    pub fn observe(
+        &self,
+        state: &mut ExpirationState,
+        moment: &Moment,
+        pressure: f32,
+        flow: f32,
+        doubtful: bool,
+    ) {
         let settings = moment.settings();
         state.smooth += self.smoothing * (pressure - state.smooth);
         state.high = pressure > settings.pip + OVERSHOOT;
-        // In a shorter expiration from its start on: there the fall counts too, which errs on the side of a longer one.
-        if moment.left() >= self.constant_for || moment.inspires() {
-            state.earlier = state.smooth;
+        if let Some(since) = moment.tick.checked_sub(moment.breath.inspiration_ticks())
+            && since.is_multiple_of(self.sampled)
+        {
+            state.sample(since == 0, flow);
         }
         let sag = settings.peep - SAG - pressure;
         if moment.phase == Phase::Expiration {
@@ -137,24 +179,24 @@ impl Expiration {
             state.lowest = state.lowest.min(state.compensation);
         }
         if moment.left() == 1 {
-            self.assess(state, settings.peep);
+            self.assess(state, settings.peep, flow);
         }
         debug_assert!((0.0..=BOUND).contains(&state.compensation()));
     }
 
     /// Assesses an expiration at its end.
-    fn assess(&self, state: &mut ExpirationState, peep: f32) {
+    fn assess(&self, state: &mut ExpirationState, peep: f32, flow: f32) {
         let above = state.smooth - peep;
         state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
-        state.falling = state.earlier - state.smooth > CONSTANT;
-        state.above = if state.incomplete >= IN_A_ROW && !state.falling { above } else { 0.0 };
+        let now = Sample { pressure: state.smooth, flow };
+        state.settle(now, peep);
         if above > SAG {
             state.forget_effort(state.lowest);
             state.flow_is_too_much();
         }
     }
 
-    /// Assesses an expiration that an effort ends early: whether its pressure still falls is not known, so PIP stays.
+    /// Assesses an expiration that an effort ends early. One that was too short to show a baseline raises PIP no further.
     /// `emptied`: it lasted long enough to have a baseline; `inhales`: gas flows to the patient while the pressure falls.
     pub fn triggered(&self, state: &mut ExpirationState, peep: f32, emptied: bool, inhales: bool) {
         let above = state.smooth - peep;
@@ -165,16 +207,27 @@ impl Expiration {
         if above > SAG {
             state.flow_is_too_much();
         }
+        let before = state.sample_before(OF_EFFORT);
+        let above = if emptied { before.pressure - peep } else { above };
         let incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         state.incomplete = if emptied { incomplete } else { incomplete.min(state.incomplete) };
-        (state.falling, state.above) = (true, 0.0);
+        if emptied {
+            state.settle(before, peep);
+        } else {
+            (state.falling, state.above) = (true, state.above.min(before.pressure - peep).max(0.0));
+        }
     }
 
     /// Starts a breath after one of which this share of the volume came out, if that was measured: lets PIP follow the
-    /// baseline. A finding if breaths indicate a leak or a PEEP valve that holds nothing.
-    pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) -> Option<Fault> {
+    /// baseline, if the pressure `swings` with the breath. A finding if breaths indicate a leak or a PEEP valve that holds nothing.
+    pub fn start_breath(
+        &self,
+        state: &mut ExpirationState,
+        expired_share: Option<f32>,
+        swings: bool,
+    ) -> Option<Fault> {
         let comes_out = expired_share.is_some_and(|share| share >= COMES_OUT);
-        let follows = comes_out && self.responses.has(Response::HigherPip);
+        let follows = comes_out && swings && self.responses.has(Response::HigherPip);
         state.shift = if follows { state.above } else { 0.0 };
         debug_assert!(state.shift >= 0.0, "PIP follows no baseline down");
         let least = if state.compensation() > LEAK { TIGHT } else { OPEN };
@@ -219,6 +272,36 @@ impl ExpirationState {
     pub fn settings_changed(&mut self) {
         self.unchecked = UNCHECKED_BREATHS + 1;
         (self.incomplete, self.above) = (0, 0.0);
+    }
+
+    /// Takes a sample; `first`: of this expiration.
+    fn sample(&mut self, first: bool, flow: f32) {
+        let before = if first { 0 } else { self.sampled };
+        self.samples[before % SAMPLES] = Sample { pressure: self.smooth, flow };
+        self.sampled = before + 1;
+    }
+
+    /// The sample so many before the last one; in a short expiration the first one. There the fall from PIP counts too, which errs on
+    /// the side of a longer expiration.
+    fn sample_before(&self, ago: usize) -> Sample {
+        self.samples[self.sampled.saturating_sub(1 + ago) % SAMPLES]
+    }
+
+    /// Assesses the baseline at the end of an expiration, from its last telling pressure and flow.
+    fn settle(&mut self, end: Sample, peep: f32) {
+        self.falling = self.sample_before(SAMPLES - 1).falls_to(end, peep);
+        let stands = self.incomplete >= IN_A_ROW && !self.falling;
+        self.above = if stands { end.pressure - peep } else { 0.0 };
+    }
+
+    /// Smoothed pressure, cmH2O.
+    pub fn smooth(&self) -> f32 {
+        self.smooth
+    }
+
+    /// Expirations in a row that ended above PEEP.
+    pub fn incomplete(&self) -> u32 {
+        self.incomplete
     }
 
     /// Takes back most of what an effort has added to a compensation: it is not needed after the effort.
@@ -281,9 +364,9 @@ mod tests {
         let breath = breath();
         for tick in (0..count).flat_map(|_| 0..breath.total_ticks()) {
             let since = tick.checked_sub(breath.inspiration_ticks());
-            expiration.observe(&mut state, &breath.at(tick), since.map_or(plateau, &pressure), false);
+            expiration.observe(&mut state, &breath.at(tick), since.map_or(plateau, &pressure), 0.0, false);
             if tick + 1 == breath.total_ticks() {
-                expiration.start_breath(&mut state, expired_share);
+                expiration.start_breath(&mut state, expired_share, true);
             }
         }
         (expiration, state)
@@ -297,7 +380,7 @@ mod tests {
         assert!((bounded.compensation() - BOUND).abs() < 1e-3);
         let breath = breath();
         for tick in (0..15).flat_map(|_| 1500..3000) {
-            expiration.observe(&mut state, &breath.at(tick), 5.0, false);
+            expiration.observe(&mut state, &breath.at(tick), 5.0, 0.0, false);
         }
         assert!(state.compensation().abs() < 1e-3);
     }
@@ -307,7 +390,7 @@ mod tests {
         let (expiration, mut state) = breaths(0, 25.0, |_| 0.0);
         let breath = breath();
         for tick in 1500..3000 {
-            expiration.observe(&mut state, &breath.at(tick), 2.0, true);
+            expiration.observe(&mut state, &breath.at(tick), 2.0, 0.0, true);
         }
         assert!(state.compensation().abs() < 1e-3);
     }
@@ -317,13 +400,13 @@ mod tests {
         let leaks = |share, pressure: f32| {
             let (expiration, mut state) = breaths_with(6, 25.0, share, |_| pressure);
             state.compensation = state.compensation.max(if pressure < 4.5 { BOUND } else { 0.0 });
-            expiration.start_breath(&mut state, share) == Some(Fault::Leak)
+            expiration.start_breath(&mut state, share, true) == Some(Fault::Leak)
         };
         assert!(leaks(Some(0.7), 4.0) && leaks(Some(0.5), 5.0));
         assert!(!leaks(Some(0.9), 4.0) && !leaks(None, 4.0) && !leaks(Some(0.7), 5.0));
         let (expiration, mut state) = breaths_with(3, 25.0, Some(0.5), |_| 5.0);
-        assert_eq!(expiration.start_breath(&mut state, Some(0.5)), None);
-        assert_eq!(expiration.start_breath(&mut state, Some(0.5)), Some(Fault::Leak));
+        assert_eq!(expiration.start_breath(&mut state, Some(0.5), true), None);
+        assert_eq!(expiration.start_breath(&mut state, Some(0.5), true), Some(Fault::Leak));
     }
 
     #[test]
@@ -331,7 +414,7 @@ mod tests {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         let mut held = |compensation, share| {
             (state.compensation, state.lowest) = (compensation, compensation);
-            expiration.start_breath(&mut state, share)
+            expiration.start_breath(&mut state, share, true)
         };
         assert_eq!([(); 5].map(|()| held(20.1, None)), [None, None, None, None, Some(Fault::BaselineLow)]);
         assert_eq!(held(20.0, None), None);
@@ -360,7 +443,7 @@ mod tests {
             (0..5).any(|_| {
                 (state.compensation, state.lowest) = (flow, 5.0);
                 expiration.triggered(&mut state, 5.0, false, inhales);
-                expiration.start_breath(&mut state, None) == Some(Fault::BaselineLow)
+                expiration.start_breath(&mut state, None, true) == Some(Fault::BaselineLow)
             })
         };
         assert!(found(false, 20.1) && !found(false, 20.0) && !found(true, 30.0));
@@ -400,7 +483,7 @@ mod tests {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         expiration.learn_leak(&mut state, 5.0, lost(0.1));
         for (pressure, flows) in [(27.0, true), (27.1, false), (24.0, true)] {
-            expiration.observe(&mut state, &breath().at(1200), pressure, false);
+            expiration.observe(&mut state, &breath().at(1200), pressure, 0.0, false);
             assert_eq!(state.compensation() > 5.0, flows, "{pressure} cmH2O at a PIP of 25");
         }
     }
@@ -433,7 +516,7 @@ mod tests {
             let mut state =
                 ExpirationState { smooth, compensation: 37.0, lowest: 21.0, ..Default::default() };
             match inhales {
-                None => expiration.assess(&mut state, 5.0),
+                None => expiration.assess(&mut state, 5.0, 0.0),
                 Some(inhales) => expiration.triggered(&mut state, 5.0, false, inhales),
             }
             (state.compensation, state.lowest)
@@ -443,21 +526,94 @@ mod tests {
         assert_eq!([after(5.5, Some(false)), after(5.51, Some(false))], [(26.0, 37.0), (13.0, 0.0)]);
     }
 
-    #[test]
-    fn an_expiration_that_an_effort_ends_moves_no_pip_and_counts_as_incomplete() {
+    /// Expirations that an effort ends after so many ticks, each with this pressure until 0.1 s before their end, where the effort
+    /// begins, and this flow, L/s.
+    fn triggered(
+        count: usize,
+        ticks: u32,
+        pressure: impl Fn(u32) -> f32,
+        flow: impl Fn(u32) -> f32,
+    ) -> ExpirationState {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
-        state.smooth = 8.1;
-        expiration.triggered(&mut state, 5.0, true, true);
-        expiration.triggered(&mut state, 5.0, true, true);
-        expiration.start_breath(&mut state, Some(1.0));
+        let breath = breath();
+        for since in (0..count).flat_map(|_| 0..ticks) {
+            let effort = 0.05 * (since + 100).saturating_sub(ticks) as f32;
+            let pressure = pressure(since) - effort;
+            expiration.observe(&mut state, &breath.at(1000 + since), pressure, flow(since), false);
+            if since + 1 == ticks {
+                expiration.triggered(&mut state, 5.0, ticks >= 1000, true);
+                expiration.start_breath(&mut state, Some(1.0), true);
+            }
+        }
+        state
+    }
+
+    /// A lung that empties with this time constant, ticks.
+    fn empties(time_constant: f32) -> impl Fn(u32) -> f32 {
+        move |since: u32| (-(since as f32) / time_constant).exp()
+    }
+
+    #[test]
+    fn pip_follows_a_stuck_peep_valve_as_well_if_efforts_end_the_expirations() {
+        let stuck = |since: u32| if since < 100 { 25.0 } else { 15.0 };
+        let shift =
+            |count| triggered(count, 1500, stuck, |since| -0.5 * empties(250.0)(since)).shift(&breath());
+        assert!(shift(1).abs() < 1e-6 && (shift(2) - 10.0).abs() < 0.1, "{} {}", shift(1), shift(2));
+        // A slow lung still empties, and the valve's own resistance lets the pressure fall a little.
+        let slow = |since: u32| 15.0 + 0.8 * empties(1000.0)(since);
+        let shift = triggered(2, 1500, slow, |since| -0.4 * empties(1000.0)(since)).shift(&breath());
+        assert!((10.0..10.4).contains(&shift), "{shift}");
+    }
+
+    #[test]
+    fn pip_does_not_follow_gas_that_is_trapped_behind_a_resistance() {
+        for time_constant in [2000.0, 3000.0, 6000.0] {
+            let share = empties(time_constant);
+            let state = triggered(3, 1500, |since| 5.0 + 14.0 * share(since), |since| -0.3 * share(since));
+            assert!(state.shift(&breath()).abs() < 1e-6, "{time_constant} ms, and an effort");
+            let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+            for tick in (0..3).flat_map(|_| 1000..3000) {
+                let share = share(tick - 1000);
+                expiration.observe(&mut state, &breath().at(tick), 5.0 + 14.0 * share, -0.3 * share, false);
+                if tick == 2999 {
+                    expiration.start_breath(&mut state, Some(1.0), true);
+                }
+            }
+            assert!(state.shift(&breath()).abs() < 1e-6 && state.incomplete == 3, "{time_constant} ms");
+        }
+    }
+
+    #[test]
+    fn an_expiration_too_short_for_a_baseline_raises_pip_no_further() {
+        let (expiration, _) = breaths(0, 25.0, |_| 5.0);
+        let shift = |baseline: f32| {
+            let mut state = triggered(2, 1500, |_| 15.0, |_| 0.0);
+            state.samples = [Sample { pressure: baseline, flow: 0.0 }; SAMPLES];
+            expiration.triggered(&mut state, 5.0, false, true);
+            expiration.start_breath(&mut state, Some(1.0), true);
+            state.shift(&breath())
+        };
+        assert!((shift(19.0) - 10.0).abs() < 0.1 && (shift(12.0) - 7.0).abs() < 1e-3 && shift(4.0) == 0.0);
+    }
+
+    #[test]
+    fn pip_follows_only_a_pressure_that_swings() {
+        let (expiration, mut state) = breaths(2, 25.0, |_| 15.0);
+        assert!(state.shift(&breath()) > 9.0);
+        expiration.start_breath(&mut state, Some(1.0), false);
         assert!(state.shift(&breath()).abs() < 1e-6);
-        assert!(expiration.goes_on(&state, &breath().at(3000)));
-        expiration.triggered(&mut state, 5.0, false, true);
-        assert_eq!(state.incomplete, 2, "still emptying");
-        for emptied in [true, false] {
-            (state.incomplete, state.smooth) = (2, 8.0);
-            expiration.triggered(&mut state, 5.0, emptied, true);
-            assert_eq!(state.incomplete, 0, "at the bound");
+    }
+
+    #[test]
+    fn an_expiration_that_an_effort_ends_counts_as_incomplete_by_its_pressure_before() {
+        let state = triggered(2, 1500, |_| 8.1, |_| 0.0);
+        assert_eq!(state.incomplete, 2, "the effort lowers the pressure to 3.1 cmH2O");
+        assert_eq!(triggered(2, 1500, |_| 8.0, |_| 0.0).incomplete, 0, "at the bound");
+        let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+        for (smooth, left) in [(8.1, 2), (8.0, 0)] {
+            (state.incomplete, state.smooth) = (2, smooth);
+            expiration.triggered(&mut state, 5.0, false, true);
+            assert_eq!((state.incomplete, state.falling), (left, true), "still emptying");
         }
     }
 
@@ -465,7 +621,7 @@ mod tests {
     fn the_breaths_around_a_change_of_the_settings_tell_of_no_leak() {
         let (expiration, mut state) = breaths_with(2, 25.0, Some(0.5), |_| 5.0);
         state.settings_changed();
-        let told = (1..9).find(|_| expiration.start_breath(&mut state, Some(0.5)).is_some());
+        let told = (1..9).find(|_| expiration.start_breath(&mut state, Some(0.5), true).is_some());
         assert_eq!(told, Some(8), "the last breath, two new ones, and five that count");
     }
 
@@ -473,7 +629,7 @@ mod tests {
     fn a_baseline_at_other_settings_moves_no_pip() {
         let (expiration, mut state) = breaths(2, 25.0, |_| 15.0);
         state.settings_changed();
-        expiration.start_breath(&mut state, Some(1.0));
+        expiration.start_breath(&mut state, Some(1.0), true);
         assert!(state.shift(&breath()).abs() < 1e-6 && !expiration.goes_on(&state, &breath().at(3000)));
     }
 
@@ -496,7 +652,7 @@ mod tests {
         let (mut expiration, state) = breaths(2, 25.0, slowly);
         expiration = Expiration { enabled: false, ..expiration };
         let mut without = ExpirationState { incomplete: 0, ..state };
-        expiration.assess(&mut without, 5.0);
+        expiration.assess(&mut without, 5.0, 0.0);
         assert!(!expiration.goes_on(&without, &breath.at(3000)));
     }
 
@@ -525,7 +681,7 @@ mod tests {
         let change = |tick, pressure, doubtful| {
             let mut state = ExpirationState { compensation: 10.0, ..ExpirationState::default() };
             let expiration = Expiration::new(1000, Monitors::ALL);
-            expiration.observe(&mut state, &breath().at(tick), pressure, doubtful);
+            expiration.observe(&mut state, &breath().at(tick), pressure, 0.0, doubtful);
             (1e4 * (state.compensation() - 10.0) + 0.5).floor() as i32
         };
         assert_eq!((change(2000, 3.5, false), change(2000, 4.0, false)), (400, 200));
@@ -541,8 +697,9 @@ mod tests {
     fn an_expiration_at_a_bound_is_on_its_better_side() {
         let (expiration, breath) = (Expiration::new(1000, Monitors::ALL), breath());
         let second = |smooth, earlier| {
-            let mut state = ExpirationState { smooth, earlier, incomplete: 1, ..ExpirationState::default() };
-            expiration.assess(&mut state, 5.0);
+            let samples = [Sample { pressure: earlier, flow: 0.0 }; SAMPLES];
+            let mut state = ExpirationState { smooth, samples, incomplete: 1, ..ExpirationState::default() };
+            expiration.assess(&mut state, 5.0, 0.0);
             (state.incomplete, state.falling, expiration.goes_on(&state, &breath.at(3000)))
         };
         assert_eq!(second(8.0, 9.0), (0, true, false), "3 cmH2O above PEEP");
@@ -559,7 +716,7 @@ mod tests {
         let started = |compensation, share| {
             let mut state =
                 ExpirationState { compensation, leaks: LEAKS - 1, above: 10.0, ..ExpirationState::default() };
-            (expiration.start_breath(&mut state, Some(share)).is_some(), state.shift(&breath()) > 9.0)
+            (expiration.start_breath(&mut state, Some(share), true).is_some(), state.shift(&breath()) > 9.0)
         };
         assert_eq!([started(LEAK, 0.6), started(LEAK, 0.59)], [(false, true), (true, true)]);
         assert_eq!([started(5.1, TIGHT), started(5.1, 0.74)], [(false, true), (true, true)]);
@@ -575,9 +732,9 @@ mod tests {
         let (expiration, mut state) = (Expiration::new(1000, Monitors::ALL), ExpirationState::default());
         for tick in (0..3).flat_map(|_| 0..1000_u32) {
             let pressure = 25.0 - 0.02 * tick.saturating_sub(400) as f32;
-            expiration.observe(&mut state, &breath.at(tick), pressure, false);
+            expiration.observe(&mut state, &breath.at(tick), pressure, 0.0, false);
             if tick == 999 {
-                expiration.start_breath(&mut state, Some(1.0));
+                expiration.start_breath(&mut state, Some(1.0), true);
             }
         }
         assert!(expiration.goes_on(&state, &breath.at(1000)));

@@ -221,9 +221,10 @@ impl LungEstimator {
         debug_assert!(state.flow >= 0.0 && state.volume >= 0.0, "the valve lets no gas out");
     }
 
-    /// Checks a tick of the inspiration; true if the pressure, cmH2O, does not respond to the delivered gas.
+    /// Checks a tick of the inspiration; true if the pressure, cmH2O, does not respond to the delivered gas. `still`: it has stood still
+    /// since the start of the inspiration, wherever that was, although gas was delivered.
     #[inline]
-    pub fn check(&self, state: &mut LungState, pressure: f32) -> bool {
+    pub fn check(&self, state: &mut LungState, pressure: f32, still: bool) -> bool {
         self.count(state, pressure);
         let rise = pressure - state.start;
         state.sums.add(state.volume, state.flow, rise);
@@ -233,7 +234,7 @@ impl LungEstimator {
         state.past[state.ticks % WINDOW] = PastTick { pressure, predicted };
         state.ticks += 1;
         // A pressure that has fallen below its start means an open tube, which another monitor detects.
-        let silent = predicted > TELLING_RISE && rise < ANSWER * predicted && rise > -FALL;
+        let silent = (still || predicted > TELLING_RISE && rise < ANSWER * predicted) && rise > -FALL;
         state.unanswered = in_a_row(state.unanswered, silent);
         let still = |past: PastTick| (pressure - past.pressure).abs() < STANDS;
         // After a cough the pressure can be back at an earlier value without having been constant in between.

@@ -12,6 +12,7 @@
 //! | [`pressure_monitor`] | checks that the pressure is within its limits |
 //! | [`breath_monitor`] | checks each phase of the breaths |
 //! | [`lung_estimator`] | estimates the lung, and checks that the pressure responds to the delivered gas |
+//! | [`standing`] | finds a reading that stands still while gas goes in and out |
 //! | [`leak`] | estimates the leak of the circuit |
 //! | [`volumes`] | measures what goes in and comes out |
 //! | [`volume_monitor`] | checks tidal volume and minute volume, and detects apnoea |
@@ -42,6 +43,7 @@ pub mod pressure_monitor;
 pub mod reading_monitor;
 pub mod responses;
 pub mod source;
+pub mod standing;
 pub mod supervisor;
 pub mod volume_monitor;
 pub mod volumes;

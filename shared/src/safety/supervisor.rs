@@ -16,22 +16,24 @@ use super::alarms::{Action, Fault};
 use super::backup::Backup;
 use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
 use super::expected::Expected;
-use super::expiration::{Expiration, ExpirationState, TIGHT};
+use super::expiration::{Expiration, ExpirationState, IN_A_ROW, TIGHT};
 use super::filter::ValveCommand;
 use super::indications::Indications;
 use super::ladder::{CAP, Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::{Monitors, in_a_row, ticks};
-use super::pressure_monitor::{PressureFinding, PressureInput, PressureMonitor, PressureState};
+use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::responses::{Response, Responses};
 use super::source::{PressureSource, Reading, SourceState};
+use super::standing::Standing;
 use super::volume_monitor::{VolumeMonitor, VolumeState};
-use super::volumes::{BreathVolumes, Volumes};
+use super::volumes::Volumes;
 use crate::breath::{Breath, Moment, period_s};
 use crate::control::{COMMAND_MAX, ControlOutput};
 use crate::math;
 use crate::sensor::Readings;
 use crate::settings::{LIMIT_MARGIN, Settings};
+use core::cmp::Ordering;
 use state::{Cut, Start};
 
 /// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms.
@@ -46,10 +48,13 @@ const GOOD_RISE: f32 = 0.7;
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
 pub const RESPONSES: u32 = 2;
-/// Share of the inspired volume that comes out below which the expiratory path is blocked.
-pub const BLOCKED: f32 = 0.2;
-/// The same without the gas of a known leak.
-pub const BLOCKED_WITHOUT_LEAK: f32 = 0.3;
+/// Inspirations in a row after which a flow sensor is doubted that shows more gas than the valve's model: a valve that is stuck
+/// open delivers more, too. One that shows far less is doubted at once.
+const UNSHOWN: u32 = 2;
+/// Least gas that comes out of a lung through an open expiratory valve, mL.
+const COMES_OUT: f32 = 10.0;
+/// The same after an effort, which moves gas to and fro between lung and circuit, mL.
+const COMES_OUT_AFTER_EFFORT: f32 = 50.0;
 /// Share of the valve's flow that the flow sensor shows if the gas reaches the patient.
 const REACHES: f32 = 0.5;
 /// Recent rise of the flow to the patient that an effort causes, L/s: in a passive lung the flow falls with the pressure.
@@ -92,8 +97,13 @@ pub struct SupervisorState {
     breath: BreathState,
     lung: LungState,
     expiration: ExpirationState,
+    standing: Standing,
     volumes: Volumes,
     volume: VolumeState,
+    /// What became of the last breath's gas.
+    gas: Gas,
+    /// Inspirations in a row in which the flow sensor did not show the gas of the valve's model.
+    unshown: u32,
     backup: Backup,
     ladder: Ladder,
     /// Settings of the running breath.
@@ -199,6 +209,8 @@ impl Supervisor {
 
     /// Checks the readings of a tick in which no breath runs.
     pub fn watch(&self, state: &mut SupervisorState, readings: &Readings, breath: &Breath) {
+        // No breath moves gas.
+        (state.gas, state.unresponsive) = (Gas::Unseen, None);
         self.check_readings(state, readings, breath, Expected::Rest);
     }
 
@@ -223,7 +235,7 @@ impl Supervisor {
             if !chosen.continues {
                 state.pressure.interrupted();
             }
-            self.check_pressure(state, pressure, breath.settings());
+            self.check_pressure(state, pressure, readings.flow, breath.settings());
         }
         chosen.doubtful
     }
@@ -272,13 +284,19 @@ impl Supervisor {
         if inspires { Expected::inspiration(moment.target(), state.lung.growth()) } else { Expected::Any }
     }
 
-    fn check_pressure(&self, state: &mut SupervisorState, pressure: f32, settings: &Settings) {
-        let (limit, peep) = (settings.pressure_limit, settings.peep);
-        let input = PressureInput { pressure, limit, peep, venting: state.open() > 0 };
+    fn check_pressure(&self, state: &mut SupervisorState, pressure: f32, flow: f32, settings: &Settings) {
+        let (limit, peep, venting) = (settings.pressure_limit, settings.peep, state.open() > 0);
+        let flow = if state.is_flow_doubted() { f32::NAN } else { flow };
+        // A reading that does not respond to the gas proves nothing about the valves.
+        let gas = if state.unresponsive.is_some() { Gas::ComesOut } else { state.gas };
+        let input = PressureInput { pressure, limit, peep, venting, flow, gas };
         match self.pressure.check(&mut state.pressure, &input) {
             PressureFinding::Normal => {}
             PressureFinding::EndInspiration if state.cut() => {}
             PressureFinding::EndInspiration => {
+                if state.backup.lacks_gas() {
+                    state.unshown = UNSHOWN;
+                }
                 state.cut.end(state.lung.explains(0.5 * (limit + settings.pip)));
                 if state.open() == 0 {
                     self.lung.end_inspiration(&mut state.lung, state.start == Start::Effort);
@@ -298,6 +316,7 @@ impl Supervisor {
             0 => self.start_breath(state, pressure, settings),
             1 => self.learn_leak(state, settings),
             2 => self.check_volumes(state, settings),
+            3 => self.judge_gas(state, readings, settings),
             _ => {}
         }
         debug_assert!(
@@ -312,18 +331,24 @@ impl Supervisor {
         if moment.inspires() {
             state.backup.count(readings.flow, state.lung.valve_flow(), period);
         }
-        match pressure {
-            Some(pressure) => self.check_breath(state, pressure, readings, moment, doubtful),
-            None if moment.inspires() => {
-                let by_flow = self.responses().has(Response::BackupByFlow) && state.backup.is_flow_sound();
-                self.lung.deliver(&mut state.lung, by_flow.then_some(readings.flow));
-            }
-            None => {}
+        if let Some(pressure) = pressure {
+            self.check_breath(state, pressure, readings, moment, doubtful);
+        } else {
+            state.standing.unseen();
+            self.deliver(state, readings, moment);
         }
         let flow = state.lung.valve_flow();
         self.source.record(&mut state.source, moment, self.breath.end_of_phase(), readings, flow);
         if moment.left() == 1 {
             self.compare_sensors(state, Start::Clock);
+        }
+    }
+
+    /// Counts the gas of a tick without a pressure.
+    fn deliver(&self, state: &mut SupervisorState, readings: &Readings, moment: &Moment) {
+        if moment.inspires() {
+            let by_flow = self.responses().has(Response::BackupByFlow) && state.backup.is_flow_sound();
+            self.lung.deliver(&mut state.lung, by_flow.then_some(readings.flow));
         }
     }
 
@@ -340,6 +365,54 @@ impl Supervisor {
         for fault in findings.into_iter().flatten() {
             self.report(state, fault);
         }
+    }
+
+    /// Judges what became of the last breath's gas, and whether the pressure has answered to it.
+    fn judge_gas(&self, state: &mut SupervisorState, readings: &Readings, settings: &Settings) {
+        let balance = state.volumes.balance().filter(|_| !state.is_flow_doubted());
+        let Some(balance) = balance else {
+            state.gas = Gas::Unseen;
+            return;
+        };
+        let effort = state.start == Start::Effort;
+        let least = if effort { COMES_OUT_AFTER_EFFORT } else { COMES_OUT };
+        let expired = balance.expired - state.standing.expired_before();
+        let stays = expired < least || state.volumes.are_blocked();
+        state.gas = if stays { Gas::Stays } else { Gas::ComesOut };
+        let baselines = state.expiration.incomplete();
+        state.standing.add(balance.kept, baselines > 1);
+        // Of a breath that the limit has ended, the gas comes out earlier.
+        let judged = state.cuts == 0 && state.level() != Level::Backup && !state.breath.is_disconnected();
+        let Some(elastance) = state.backup.elastance().filter(|_| judged) else { return };
+        let denied = state.standing.denies_outflow(expired, elastance)
+            || (baselines == IN_A_ROW && state.standing.denies_balance(settings.peep, elastance));
+        if denied {
+            self.disbelieve(state, readings);
+        }
+    }
+
+    /// The believed pressure does not respond to the gas: uses the other sensor, if they differ, or backup ventilation.
+    fn disbelieve(&self, state: &mut SupervisorState, readings: &Readings) {
+        if !self.other_responds(state, readings) {
+            self.lose_response(state);
+        }
+    }
+
+    /// No sensor responds: backup ventilation.
+    fn lose_response(&self, state: &mut SupervisorState) {
+        if self.report(state, Fault::NoResponse) {
+            state.unresponsive = state.unresponsive.or(Some(0));
+        }
+    }
+
+    /// Whether the sensors differ: then the one that has responded is used.
+    fn other_responds(&self, state: &mut SupervisorState, readings: &Readings) -> bool {
+        let flow = state.lung.flow();
+        let differ = self.source.unresponsive(&mut state.source, readings, flow);
+        if differ {
+            self.report(state, Fault::SensorsDisagree);
+        }
+        differ
     }
 
     /// Compares the sensors at the end of an expiration, before a start of the next breath.
@@ -387,8 +460,9 @@ impl Supervisor {
         doubtful: bool,
     ) {
         let cut = state.cut();
-        if moment.inspires() && !cut && self.lung.check(&mut state.lung, pressure) {
-            self.unresponsive(state, pressure, readings, moment.settings());
+        let still = state.stands_still(moment.settings().peep);
+        if moment.inspires() && !cut && self.lung.check(&mut state.lung, pressure, still) {
+            self.unresponsive(state, pressure, readings, moment.settings(), still);
         }
         let input = BreathInput {
             moment: *moment,
@@ -405,7 +479,11 @@ impl Supervisor {
             self.report(state, fault);
         }
         let unsure = doubtful || state.breath.is_disconnected();
-        self.expiration.observe(&mut state.expiration, moment, pressure, unsure);
+        self.expiration.observe(&mut state.expiration, moment, pressure, state.volumes.smooth(), unsure);
+        state.standing.observe(moment, state.expiration.smooth());
+        if moment.ends_inspiration() {
+            state.standing.inspired(state.volumes.expired());
+        }
         if moment.ends_inspiration() && !cut {
             let volume = state.lung.volume();
             if self.source.at_plateau(&mut state.source, moment.settings().peep, volume) {
@@ -424,35 +502,42 @@ impl Supervisor {
         pressure: f32,
         readings: &Readings,
         settings: &Settings,
+        still: bool,
     ) {
-        let flow = state.lung.flow();
-        if self.source.unresponsive(&mut state.source, readings, flow) {
-            self.report(state, Fault::SensorsDisagree);
+        if self.other_responds(state, readings) {
             return;
         }
+        let flow = state.lung.flow();
         let rise = pressure - settings.peep;
         let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
         let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < EFFORT;
         let reaches = flow < LITTLE_FLOW || readings.flow >= REACHES * flow;
-        let answered = reaches && drawn_in && state.source.are_both_sound();
-        if !answered && self.report(state, Fault::NoResponse) {
-            state.unresponsive = state.unresponsive.or(Some(0));
+        let answered = reaches && drawn_in && !still && state.source.are_both_sound();
+        if !answered {
+            self.lose_response(state);
         }
     }
 
     /// Ends an inspiration that was not cut at the limit.
     fn inspired(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
         self.lung.end_inspiration(&mut state.lung, state.start == Start::Effort);
+        state.unshown = match state.backup.gas_shown() {
+            None => state.unshown,
+            Some(Ordering::Less) => UNSHOWN,
+            Some(shown) => in_a_row(state.unshown, shown == Ordering::Greater),
+        };
         let settings = breath.settings();
         let (rise, whole) = (pressure - settings.peep, settings.pip - settings.peep);
         if let Some(responses) = &mut state.unresponsive {
             debug_assert!(*responses < RESPONSES, "so many end backup ventilation");
+            // From where it was: a reading that stands still above PEEP has not responded.
+            let rise = rise.min(pressure - state.standing.start());
             *responses = in_a_row(*responses, rise >= RESPONSE * whole);
             if *responses >= RESPONSES {
                 state.unresponsive = None;
                 state.ladder.step_down(Level::Pid);
             }
-        } else if rise >= GOOD_RISE * whole {
+        } else if rise >= GOOD_RISE * whole && state.standing.has_moved() {
             state.lung.forget_false(pressure);
             state.backup.accept(breath);
         }
@@ -478,14 +563,12 @@ impl Supervisor {
         state.backup.start_breath();
         state.volumes.start_breath();
         let expired = state.volumes.expired_share();
-        if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired) {
+        let swings = state.standing.swings();
+        if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired, swings) {
             self.report(state, fault);
         }
-        // Without the gas of a leak, more than that of what a patient takes in comes out again.
-        let stays = |breath: BreathVolumes| breath.expired < BLOCKED_WITHOUT_LEAK * breath.inspired;
-        let blocked =
-            expired.is_some_and(|share| share < BLOCKED) && state.volumes.breath().is_some_and(stays);
-        if self.pressure.is_sustained(&state.pressure) && blocked {
+        let believed = !state.is_flow_doubted() && state.unresponsive.is_none();
+        if self.pressure.is_sustained(&state.pressure) && believed && state.volumes.are_blocked() {
             self.report(state, Fault::SustainedPressure);
         }
     }

@@ -5,6 +5,10 @@ use crate::math;
 
 /// Share of a breath's ticks that must have a flow reading.
 pub const MEASURED: f32 = 0.9;
+/// Share of the inspired volume that comes out below which the expiratory path is blocked.
+pub const BLOCKED: f32 = 0.2;
+/// The same without the gas of a known leak.
+pub const BLOCKED_WITHOUT_LEAK: f32 = 0.3;
 /// Smallest inspired volume that is compared with the expired one, mL.
 const TELLING: f32 = 20.0;
 
@@ -55,6 +59,15 @@ pub struct BreathVolumes {
     pub expired: f32,
     /// Through the leak, as far as it is known.
     pub leaked: f32,
+}
+
+/// Gas that has come out, and gas that the lung has kept, in a breath, mL.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Balance {
+    /// Out of the lung.
+    pub expired: f32,
+    /// Into the lung and not out of it.
+    pub kept: f32,
 }
 
 /// Volumes of the running breath, and the last one's result.
@@ -122,6 +135,11 @@ impl Volumes {
         *self = Self { lung, flow, smooth, last_ticks, breath, expired_share, loss, ..Self::default() };
     }
 
+    /// Smoothed flow towards the patient, L/s; the last one without a reading, at first 0.
+    pub fn smooth(&self) -> f32 {
+        self.smooth
+    }
+
     /// Recent rise of the flow towards the patient, L/s; 0 without a reading.
     pub fn surge(&self) -> f32 {
         self.flow - self.smooth
@@ -130,6 +148,11 @@ impl Volumes {
     /// Volume inspired so far in the running breath, mL; none if the flow is not measured.
     pub fn inspired(&self) -> Option<f32> {
         self.is_measured().then_some(self.inspired)
+    }
+
+    /// Volume expired so far in the running breath, as far as the flow is measured, mL.
+    pub fn expired(&self) -> f32 {
+        self.expired
     }
 
     /// Length of the last breath, ticks; 0 if there was none.
@@ -145,6 +168,23 @@ impl Volumes {
     /// Expired share of the inspired volume in the last breath; none if the flow was not measured.
     pub fn expired_share(&self) -> Option<f32> {
         self.expired_share
+    }
+
+    /// Whether hardly any of the last breath's gas came out. Without the gas of a leak, more than that of what a patient takes in
+    /// comes out again.
+    pub fn are_blocked(&self) -> bool {
+        let stays = |breath: BreathVolumes| breath.expired < BLOCKED_WITHOUT_LEAK * breath.inspired;
+        self.expired_share.is_some_and(|share| share < BLOCKED) && self.breath.is_some_and(stays)
+    }
+
+    /// What is certain of the last breath's gas, since the known leak may be wrong: the smaller expired volume with and without it, and
+    /// the larger one that the lung has kept. None if flow or pressure were not measured.
+    pub fn balance(&self) -> Option<Balance> {
+        let (lung, all) = (self.breath?, self.loss?);
+        Some(Balance {
+            expired: lung.expired.min(all.inspired - all.gas),
+            kept: all.gas.max(lung.inspired - lung.expired),
+        })
     }
 
     /// Gas that the last breath lost; none if flow or pressure were not measured. Gas that stays in the lung counts too, but in the

@@ -12,11 +12,11 @@ use shared::safety::plateau::{self, APART_BREATHS};
 use shared::safety::source::{
     AGREE, AGREED_BREATHS, APART, DOUBTFUL, DOUBTFUL_BREATHS, FAR_APART, MOVED, SOUND_AGAIN,
 };
-use shared::safety::volumes::MEASURED;
+use shared::safety::volumes::{self, MEASURED};
 use shared::safety::{
     breath_monitor as breath, expiration, lung_estimator as lung, pressure_monitor as pressure,
 };
-use shared::safety::{reading_monitor as reading, supervisor, volume_monitor as volume};
+use shared::safety::{reading_monitor as reading, standing, supervisor, volume_monitor as volume};
 
 /// An alarm, the condition that begins it and the event that ends it.
 type Conditions = (Fault, String, String);
@@ -112,14 +112,23 @@ fn responses() -> Vec<Conditions> {
         "for {} ms less than {} % of a predicted rise of more than {} cmH2O, or for {} ms no change over \
          the last {} ms although such a rise is predicted; not if two pressure sensors agree, the gas \
          reaches the patient, and the pressure is up, less than {} cmH2O are missing, or the lung has not \
-         been estimated from {} inspirations, at least one begun by the clock",
+         been estimated from {} inspirations, at least one begun by the clock. Or no change by more than {} \
+         cmH2O in an inspiration from more than {} above PEEP whose gas raises the pressure by {}, or in an \
+         expiration whose gas lowers it by {}; or such a pressure at the end of {} expirations in a row, of \
+         which the gas in the lung explains less than {} %",
         ms(lung::UNANSWERED),
         percent(lung::ANSWER),
         number(lung::TELLING_RISE),
         ms(lung::STANDING),
         lung::WINDOW,
         number(supervisor::EFFORT),
-        lung::KNOWN
+        lung::KNOWN,
+        number(standing::MOVES),
+        number(breath::ABOVE_PEEP),
+        number(lung::TELLING_RISE),
+        number(standing::FALL),
+        expiration::IN_A_ROW,
+        percent(standing::EXPLAINED)
     );
     let backup = "no pressure sensor is sound, or none responds: the volume of the last good breaths is \
                   delivered, or without a sound flow sensor their mean commands are repeated";
@@ -144,20 +153,28 @@ fn responses() -> Vec<Conditions> {
 fn limits() -> Vec<Conditions> {
     let high = format!(
         "{} breaths in a row end at the pressure limit, or one does so under the capped PID because of its \
-         gas",
-        supervisor::CUTS_MAX
+         gas, or {} s above the limit with the expiratory valve commanded open",
+        supervisor::CUTS_MAX,
+        number(pressure::VENTING)
     );
-    let hard =
-        format!("{} s above the limit with the expiratory valve commanded open", number(pressure::VENTING));
+    let hard = format!(
+        "{} s above the limit with the expiratory valve commanded open, in which less than {} mL come out, or \
+         {} s whatever the flow sensor shows",
+        number(pressure::VENTING),
+        number(pressure::OUTFLOW),
+        number(pressure::STRAIN)
+    );
     let sustained = format!(
         "more than {} cmH2O above PEEP for {} s, and with the expiratory valve commanded open a fall of \
-         less than {} % of that in {fall} s and in {fall} s after that, or less than {} % of the inspired \
-         volume coming out ({} % without the gas of a known leak)",
+         less than {} % of that in {fall} s and in {fall} s after that ({} s without a sound flow sensor); not \
+         if the flow sensor shows that the gas comes out; or less than {} % of the inspired volume coming \
+         out ({} % without the gas of a known leak)",
         number(pressure::BACK_AT_PEEP),
         number(pressure::SUSTAINED),
         percent(pressure::FALLS),
-        percent(supervisor::BLOCKED),
-        percent(supervisor::BLOCKED_WITHOUT_LEAK),
+        number(pressure::FALL_UNSEEN),
+        percent(volumes::BLOCKED),
+        percent(volumes::BLOCKED_WITHOUT_LEAK),
         fall = number(pressure::FALL),
     );
     vec![
@@ -172,7 +189,8 @@ fn baselines() -> Vec<Conditions> {
     let high = format!(
         "more than {} cmH2O above PEEP at the end of {} expirations in a row, or of {} if efforts end them \
          early; then an expiration in which the pressure still falls lasts up to {} % of a breath longer, \
-         and PIP rises with a constant baseline, up to {} cmH2O below the limit",
+         and PIP rises with a constant baseline, up to {} cmH2O below the limit, if the gas comes out and the \
+         pressure swings with the breath",
         number(breath::ABOVE_PEEP),
         breath::HIGH_BREATHS,
         breath::TRAPPED_BREATHS,

@@ -70,7 +70,7 @@ impl FlowModel {
         let Some((_, volume)) = &mut self.breath else { return (f32::NAN, f32::NAN) };
         if pressure.is_finite() {
             // Its finding is the device's business.
-            let _ = self.estimator.check(&mut self.state, pressure);
+            let _ = self.estimator.check(&mut self.state, pressure, false);
         } else {
             self.estimator.deliver(&mut self.state, None);
         }

@@ -6,6 +6,8 @@ pub mod draw;
 mod frozen_tests;
 pub(crate) mod hostile;
 pub mod injection;
+#[cfg(test)]
+mod latch_tests;
 pub mod matrix;
 pub mod parts;
 pub(crate) mod rig;

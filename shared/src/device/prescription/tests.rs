@@ -8,6 +8,7 @@ use crate::link::messages::DeviceKind;
 use crate::recorder::cell::fuse;
 use crate::safety::ladder::Level;
 use crate::safety::monitors::Monitors;
+use crate::sensor::Readings;
 use proptest::prelude::*;
 
 const BREATH: usize = 3000;
@@ -135,7 +136,8 @@ fn after_a_stop_a_fault_or_a_requested_restart_nothing_resumes() {
     let mut run = Run::start(&memory, None);
     run.ventilate(&paper_settings(15.0), 1);
     for _ in 0..1000 {
-        let output = run.control.step(70.0);
+        // No gas comes out.
+        let output = run.control.step(Readings { flow: 0.0, ..70.0.into() });
         run.prescription.keep(&run.control, &output);
     }
     assert!(matches!(run.control.mode(), Mode::Fault(_)));

@@ -1,7 +1,8 @@
 //! The checks that move the valves, in standby and on request only.
 //!
 //! *Circuit*, with a test lung: rest; fill until the pressure has risen by [`RISE`]; close both valves and let the gas spread;
-//! hold; release. *Relief*, with a closed patient port: rest; fill until the pressure rises no more; release. Every command goes
+//! hold; release. *Relief*, with a closed patient port: rest; fill until the pressure rises no more; release. It ends at once if the
+//! flow sensor shows that the port is open: a patient may be connected. Every command goes
 //! through [`ValveCommand::of_test`], which makes the valves safe above [`CEILING`] and without a reading.
 
 use super::{Finding, Outcome, StepResult};
@@ -43,6 +44,8 @@ const PLATEAU: f32 = 0.1;
 const PLATEAU_RISE: f32 = 1.0;
 /// Opening pressure of a sound relief valve, cmH2O.
 const RELIEF: (f32, f32) = (60.0, 80.0);
+/// Gas that flows through an open patient port early in the rise, L, and a flow that a sensor shows at rest, L/s.
+const THROUGH_PORT: (f32, f32) = (0.01, 0.04);
 /// Rise above the pressure at rest from which a plateau counts, cmH2O.
 const PLATEAU_FROM: f32 = 10.0;
 
@@ -75,7 +78,7 @@ pub(super) struct Manoeuvre {
     plateau: (f32, f32),
     /// Time of the rise, s.
     rise_time: f32,
-    /// Volume that the flow sensor measured while the test lung filled, L, and the seconds in which it gave numbers.
+    /// Volume that the flow sensor measured while the circuit filled, L, and the seconds in which it gave numbers.
     volume: f32,
     metered: f32,
     /// Results so far.
@@ -190,10 +193,10 @@ impl Manoeuvre {
 
     fn fill(&mut self, readings: &Readings, period: f32) {
         let pressure = readings.airway;
+        self.meter(readings.flow, period);
         if self.kind == Kind::Relief {
             return self.fill_to_relief(pressure);
         }
-        self.meter(readings.flow, period);
         if pressure - self.base >= RISE {
             self.rise_time = self.time;
             self.enter(Stage::Spread);
@@ -211,7 +214,9 @@ impl Manoeuvre {
 
     fn fill_to_relief(&mut self, pressure: f32) {
         let (from, since) = self.plateau;
-        if pressure - from >= PLATEAU_RISE {
+        if self.volume > THROUGH_PORT.0 + THROUGH_PORT.1 * self.metered {
+            self.fail(Finding::PortOpen, pressure);
+        } else if pressure - from >= PLATEAU_RISE {
             self.plateau = (pressure, self.time);
         } else if self.time - since >= PLATEAU && pressure - self.base >= PLATEAU_FROM {
             self.second = match pressure {

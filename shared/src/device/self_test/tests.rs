@@ -42,7 +42,7 @@ const MACHINE: Machine = Machine {
     meter: 1.0,
 };
 /// With a closed patient port.
-const CLOSED: Machine = Machine { compliance: 1.5, ..MACHINE };
+const CLOSED: Machine = Machine { compliance: 1.5, meter: 0.0, ..MACHINE };
 
 impl Machine {
     fn step(&mut self, command: ValveCommand) -> Readings {
@@ -142,6 +142,18 @@ fn an_expiratory_valve_that_does_not_open_fails() {
 }
 
 #[test]
+fn the_check_of_the_relief_valve_ends_at_a_low_pressure_if_a_patient_is_connected() {
+    // R50C5 and C2 lungs take 5 and 2 of 6.5 and 3.5 mL/cmH2O; a sensor may be off by 0.02 L/s.
+    for (compliance, meter) in [(6.5, 0.77), (3.5, 0.57), (20.0, 0.9)] {
+        let ([.., relief], peak) = check(Machine { compliance, meter, ..MACHINE }, Check::Relief);
+        assert_eq!(relief.outcome, Failed(Finding::PortOpen));
+        assert!(peak < 25.0, "{peak} cmH2O at {compliance} mL/cmH2O");
+    }
+    let off = check(Machine { meter: 0.02 / 0.15, ..CLOSED }, Check::Relief).0[2];
+    assert_eq!(off.outcome, Passed);
+}
+
+#[test]
 fn the_relief_valve_opens_between_60_and_80_cmh2o() {
     let relief = |relief| check(Machine { relief, ..CLOSED }, Check::Relief).0[2];
     for opening in [60.5, 70.0, 79.5] {
@@ -167,7 +179,7 @@ fn a_slow_rise_is_no_plateau_but_an_open_port() {
 #[test]
 fn without_a_reading_the_valves_are_safe_and_the_check_fails() {
     for which in [Check::Circuit, Check::Relief] {
-        let (mut test, mut machine) = (SelfTest::none(PERIOD_US), MACHINE);
+        let (mut test, mut machine) = (SelfTest::none(PERIOD_US), Machine { meter: 0.0, ..MACHINE });
         test.begin(which).unwrap();
         let mut command = ValveCommand::SAFE;
         for _ in 0..1000 {
@@ -388,12 +400,13 @@ fn the_first_failed_step_is_the_reason() {
     assert!(text.contains("self-test step 'program' has failed: the program in flash is damaged"), "{text}");
 }
 
-/// The outcomes of a check whose airway pressure is a function of its tick, with a flow of 0.15 L/s throughout.
+/// The outcomes of a check whose airway pressure is a function of its tick, with a flow of 0.15 L/s throughout or a closed port.
 fn by_tick(check: Check, pressure: impl Fn(u32) -> f32) -> [StepResult; 3] {
     let mut test = SelfTest::none(PERIOD_US);
     test.begin(check).unwrap();
+    let flow = if check == Check::Relief { 0.0 } else { 0.15 };
     for tick in 0..9000 {
-        test.step(&at_rest(pressure(tick), f32::NAN, 0.15), &Settings::default(), false);
+        test.step(&at_rest(pressure(tick), f32::NAN, flow), &Settings::default(), false);
     }
     let report = test.report();
     [Step::Valves, Step::Circuit, Step::Relief].map(|step| report[step as usize])

@@ -42,7 +42,7 @@ fn a_calibration_is_stored_only_in_standby_by_the_host_that_steers() {
     rig.start();
     assert_eq!(rig.ask(request()), Response::Refused(Refusal::Ventilating));
     rig.run(20);
-    rig.run_at(800, 70.0);
+    rig.run_blocked(800, 70.0);
     assert_eq!(rig.ask(request()), Response::Refused(Refusal::FaultLatched));
     rig.ask(Request::Acknowledge);
     assert!(matches!(rig.ask(Request::RunSelfTest(Check::Circuit)), Response::SelfTest(_)));
@@ -123,7 +123,7 @@ fn the_worst_allowed_calibration_leaves_the_hard_limit_in_place() {
         assert_eq!(rig.ask(Request::StoreCalibration(READS_LOW)), stored(1, READS_LOW));
         rig.start();
         rig.run(20);
-        rig.run_at(800, pressure);
+        rig.run_blocked(800, pressure);
         let latched = Mode::Fault(Fault::HardLimit);
         assert_eq!(rig.control.mode() == latched, vents, "at {pressure} cmH2O");
     }

@@ -146,7 +146,7 @@ fn a_start_needs_settings_that_were_sent_in_this_standby() {
     assert_eq!(rig.ask(Request::Start), not_confirmed, "after a stop");
     rig.ask(Request::QueueSettings(paper_settings(20.0)));
     assert_eq!(rig.ask(Request::Start), started);
-    rig.run_at(800, 70.0);
+    rig.run_blocked(800, 70.0);
     rig.ask(Request::Acknowledge);
     // Until the sensor counts as sound again.
     rig.run(5100);

@@ -28,7 +28,7 @@ fn the_flight_recorder_is_read_while_ventilating_and_emptied_on_request() {
     assert_eq!((status.recording, status.fast.next - status.fast.first), (RecordingState::Running, 101));
     let page = rig.ask(Request::ReadRecorder { part: RecorderPart::Fast, from: status.fast.next - 2 });
     assert!(matches!(page, Response::Recorded(page) if page.first == 99 && page.bytes.len() == 12));
-    rig.run_at(800, 70.0);
+    rig.run_blocked(800, 70.0);
     assert_eq!(recorded(&mut rig).recording, RecordingState::Fault(Fault::HardLimit));
     assert_eq!(rig.ask(Request::ClearRecorder), Response::Done);
     rig.run(1);

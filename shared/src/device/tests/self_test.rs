@@ -64,7 +64,7 @@ fn the_flash_is_left_alone_while_it_ventilates_and_while_a_check_moves_the_valve
     assert_eq!(rig.control.leave(), Leave::Nothing, "from the answer to the request on");
     rig.run(100);
     assert_eq!(rig.control.leave(), Leave::Nothing);
-    rig.run_at(800, 70.0);
+    rig.run_blocked(800, 70.0);
     assert!(matches!(rig.control.mode(), Mode::Fault(_)));
     assert_eq!(rig.control.leave(), Leave::Write);
     rig.run(500);

@@ -46,7 +46,7 @@ fn inspire(state: &mut LungState, command: f32, pressure: impl Fn(&LungState) ->
     let (estimator, _) = estimator();
     state.start_inspiration(5.0, 5.0);
     let silent = (0..1000).filter(|_| {
-        let silent = estimator.check(state, pressure(state));
+        let silent = estimator.check(state, pressure(state), false);
         estimator.applied(state, command);
         silent
     });
@@ -112,7 +112,7 @@ fn commands_take_effect_after_the_dead_time_and_then_with_the_lag() {
     let (estimator, mut state) = estimator();
     let opened = (0..100).position(|_| {
         estimator.applied(&mut state, 80.0);
-        estimator.check(&mut state, 5.0);
+        estimator.check(&mut state, 5.0, false);
         state.flow > 0.0
     });
     assert_eq!(opened, Some(12));
@@ -143,8 +143,8 @@ fn a_pressure_behind_the_valve_takes_flow_away_and_flow_sums_to_volume() {
     let open = |pressure: f32| {
         let (estimator, _) = estimator();
         let mut state = LungState { opening: 100.0, ..LungState::default() };
-        estimator.check(&mut state, pressure);
-        estimator.check(&mut state, pressure);
+        estimator.check(&mut state, pressure, false);
+        estimator.check(&mut state, pressure, false);
         (state.flow, state.volume())
     };
     for (pressure, flow) in [(0.0, 1.67), (100.0, 0.67 * 1.67), (400.0, 0.0)] {
@@ -216,7 +216,7 @@ fn predicting(rise: f32) -> LungState {
 fn silent(state: LungState, growth: f32, rise: impl Fn(usize) -> f32) -> Option<usize> {
     let ((estimator, _), mut state) = (estimator(), state);
     (0..200).position(|tick| {
-        let silent = estimator.check(&mut state, rise(tick));
+        let silent = estimator.check(&mut state, rise(tick), false);
         state.volume += growth;
         silent
     })
@@ -301,7 +301,7 @@ fn an_inspiration_starts_from_peep_at_most_and_knows_nothing_of_the_last() {
     let mut late = LungState { unanswered: 39, standing: 19, ..predicting(20.0) };
     late.start_inspiration(5.0, 5.0);
     late.volume = 20.0;
-    assert!(!estimator.check(&mut late, 5.0));
+    assert!(!estimator.check(&mut late, 5.0, false));
 }
 
 #[test]

@@ -4,6 +4,7 @@ use super::SupervisorState;
 use crate::safety::alarms::Fault;
 use crate::safety::indications::Indications;
 use crate::safety::ladder::Level;
+use crate::safety::lung_estimator::TELLING_RISE;
 use crate::safety::source::Reading;
 
 /// Whether the pressure limit has ended the running breath's inspiration, and what raised the pressure to it.
@@ -76,6 +77,18 @@ impl SupervisorState {
     /// Whether the running inspiration was ended at the pressure limit.
     pub fn cut(&self) -> bool {
         self.cut != Cut::None
+    }
+
+    /// Whether the pressure has stood still above PEEP, cmH2O, since the start of the inspiration, although its gas has raised that of
+    /// earlier breaths by far.
+    pub(super) fn stands_still(&self, peep: f32) -> bool {
+        let rise = |elastance| elastance * self.lung.volume() > TELLING_RISE;
+        self.standing.stands_above(peep) && self.backup.elastance().is_some_and(rise)
+    }
+
+    /// Whether the flow sensor does not show the gas that the valve delivers.
+    pub(super) fn is_flow_doubted(&self) -> bool {
+        self.unshown >= super::UNSHOWN
     }
 
     /// Ticks for which the expiratory valve has been commanded open; it is open before the first command.

@@ -232,7 +232,11 @@ fn above_the_limit_the_breath_vents_and_the_next_one_goes_on() {
 #[test]
 fn a_latched_fault_stays_and_commands_the_safe_state_until_it_is_cleared() {
     let mut run = Run::new();
-    run.breathe(0..720, 76.0, LEARNED);
+    for tick in 0..720 {
+        // No gas comes out.
+        run.check_all(Readings { flow: 0.0, ..(76.0 + dither(tick)).into() }, Some(tick));
+        run.filter(LEARNED, tick >= 1000);
+    }
     assert_eq!(run.state.take_begun(), Some(Fault::HardLimit));
     for tick in 0..1000 {
         assert_eq!(run.check(5.0 + dither(tick), None), None);

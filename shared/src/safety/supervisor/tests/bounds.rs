@@ -168,7 +168,8 @@ fn a_disconnected_patient_gets_a_capped_probe_and_no_response_is_awaited() {
 fn breath_to(run: &mut Run, plateau: f32, command: f32) {
     for tick in 0..breath().total_ticks() {
         let inspires = breath().phase(tick) == Phase::Inspiration;
-        run.check(if inspires { plateau } else { 5.0 } + dither(tick), Some(tick));
+        // The first tick is at PEEP, from where a response is counted.
+        run.check(if inspires && tick > 0 { plateau } else { 5.0 } + dither(tick), Some(tick));
         run.filter(ControlOutput::plain(command), !inspires);
     }
 }
@@ -332,7 +333,7 @@ fn is_missing(mut run: Run, pressure: f32, share: f32, second_sensor: bool) -> b
     let flow = share * run.state.lung.flow();
     let outlet = if second_sensor { pressure } else { f32::NAN };
     let readings = Readings { airway: pressure, outlet, flow };
-    run.supervisor.unresponsive(&mut run.state, pressure, &readings, breath().settings());
+    run.supervisor.unresponsive(&mut run.state, pressure, &readings, breath().settings(), false);
     run.state.indications().present().has(Fault::NoResponse)
 }
 
