@@ -289,8 +289,7 @@ mod tests {
             if interrupted {
                 state.interrupted();
             }
-            let input = PressureInput { pressure, limit: LIMIT, peep: 5.0, venting: false };
-            monitor.check(&mut state, &input) == PressureFinding::EndInspiration
+            monitor.check(&mut state, &input(pressure, false)) == PressureFinding::EndInspiration
         };
         assert!(!(0..100).any(|_| ends(10.0, false)));
         assert!(!ends(26.0, true) && !(0..100).any(|_| ends(26.0, false)));

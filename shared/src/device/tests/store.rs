@@ -109,7 +109,7 @@ fn no_weights_are_stored_in_the_safe_state() {
     upload(&mut rig, &image);
     rig.start();
     rig.run(20);
-    rig.run_at(800, 70.0);
+    rig.run_blocked(800, 70.0);
     assert_eq!(rig.ask(Request::CommitWeights), Response::Refused(Refusal::FaultLatched));
     rig.ask(Request::Acknowledge);
     assert_eq!(rig.ask(Request::CommitWeights), Response::Weights { id: image.1, slot: Slot::B });
