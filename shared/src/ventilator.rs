@@ -289,7 +289,7 @@ impl<C: ControlLaw> Ventilator<C> {
     ) -> (ValveCommand, Option<Sample>) {
         let moment = &belief.moment;
         let settings = moment.settings();
-        let effort = self.trigger.check(&mut state.trigger, moment, belief.effort, readings.flow);
+        let effort = self.trigger.check(&mut state.trigger, moment, belief.effort, belief.flow);
         let (phase, target) = match moment.phase {
             // An inspiration that has reached the pressure limit has ended.
             Phase::Inspiration if belief.cut => (Phase::Fall, settings.peep),

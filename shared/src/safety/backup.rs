@@ -1,10 +1,14 @@
 //! Backup ventilation for a machine without a sound pressure sensor: the volume of the last good breaths, or their commands.
 //!
 //! While pressure control works, the commands of each good inspiration are averaged in time bins, and so is its whole volume by the
-//! flow sensor; the course of that volume is the last good inspiration's. With a sound flow sensor the commands are then corrected by
-//! what the volume lacks of its course, and the valve closes when the whole volume has been delivered. Without one they are repeated:
-//! a lung that has not changed answers with nearly the same pressure. Before the first good breath a constant flow delivers what fills
-//! the stiffest adult lung to PIP. The supervisor closes the valve when the lung estimate predicts the pressure limit.
+//! flow sensor and by the valve's model; the course of that volume is the last good inspiration's. With a sound flow sensor the
+//! commands are then corrected by what the volume lacks of its course, and the valve closes when the whole volume has been delivered.
+//! Without one they are repeated: a lung that has not changed answers with nearly the same pressure. Before the first good breath a
+//! constant flow delivers what fills the stiffest adult lung to PIP. The supervisor closes the valve when the lung estimate predicts
+//! the pressure limit.
+//!
+//! Whatever the inspiratory time is now, the commands keep their own time, and the valve closes when it has given the volume of the
+//! good breaths: by the sensor, or by the model without one. A lower PIP takes its share of commands and volume away.
 //!
 //! The flow sensor is sound as long as its volume is near that of the valve's model: within a supply pressure that falls, not if
 //! the reading stands still.
@@ -12,6 +16,7 @@
 use crate::breath::{Breath, Moment};
 use crate::control::COMMAND_MAX;
 use crate::math;
+use crate::safety::lung_estimator::LEAST_MEASURED;
 use core::cmp::Ordering;
 
 /// Time bins of an inspiration.
@@ -27,6 +32,9 @@ const FLOW_PER_COMMAND: f32 = 0.009;
 const CORRECTION: f32 = 0.4;
 /// Lowest and highest share of the model's volume that a sound flow sensor measures.
 pub const PLAUSIBLE: (f32, f32) = (0.5, 1.5);
+/// Highest multiple of the good breaths' volume that the valve gives by its model while the sensor shows less: the supply may fall to
+/// [`LEAST_MEASURED`].
+const MOST_OF_MODEL: f32 = 1.0 / LEAST_MEASURED;
 /// Gas that stays in the circuit, mL.
 pub const IN_CIRCUIT: f32 = 50.0;
 
@@ -60,8 +68,8 @@ pub struct Backup {
     commands: Bins,
     /// Volume at the end of each bin, mL.
     volumes: Bins,
-    /// Rise from PEEP to PIP of the good breaths, cmH2O; none before the first.
-    rise: Option<f32>,
+    /// The good breaths; none before the first.
+    good: Option<Good>,
     /// Volumes of those breaths; none if they were not measured.
     course: Option<Course>,
     /// First bin that the running inspiration has not filled, and the commands in the bin before that: sum and number.
@@ -71,6 +79,24 @@ pub struct Backup {
     /// Volume since its start by the flow sensor, mL, not a number once a reading was missing; and by the valve's model.
     measured: f32,
     modelled: f32,
+}
+
+/// What the good breaths have in common.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Good {
+    /// Rise from PEEP to PIP, cmH2O.
+    rise: f32,
+    /// Length of the inspiration, ticks.
+    length: u32,
+    /// Mean of the whole volumes by the valve's model, mL.
+    modelled: f32,
+}
+
+impl Good {
+    /// Whether a breath is of the same kind, so that its commands belong into the same mean.
+    fn is_like(&self, breath: &Breath) -> bool {
+        self.rise.to_bits() == rise_of(breath).to_bits() && self.length == breath.inspiration_ticks()
+    }
 }
 
 /// Volumes of good inspirations, mL.
@@ -88,7 +114,7 @@ impl Backup {
         Self {
             commands: Bins::EMPTY,
             volumes: Bins::EMPTY,
-            rise: None,
+            good: None,
             course: None,
             next: 0,
             sum: 0.0,
@@ -142,14 +168,16 @@ impl Backup {
     /// Rise of the pressure per volume of the last good breaths, cmH2O/mL; none before the first with a sound flow sensor.
     pub fn elastance(&self) -> Option<f32> {
         let course = self.course.as_ref().filter(|course| course.whole > 0.0)?;
-        self.rise.map(|rise| rise / course.whole)
+        self.good.map(|good| good.rise / course.whole)
     }
 
     /// Records the command of a tick of an inspiration, percent. It fills all bins up to the next tick's, since a slow control
     /// period has fewer ticks than there are bins. After a gap nothing more of the inspiration is recorded.
     #[inline]
     pub fn record(&mut self, moment: &Moment, command: f32) {
-        let (breath, bin) = (moment.breath, bin(moment.breath, moment.tick));
+        let breath = moment.breath;
+        let length = breath.inspiration_ticks();
+        let bin = bin(length, moment.tick);
         if bin > self.next {
             return;
         }
@@ -157,9 +185,9 @@ impl Backup {
             (self.sum, self.count) = (0.0, 0.0);
         }
         (self.sum, self.count) = (self.sum + command, self.count + 1.0);
-        let weight = if self.is_of_another_rise(breath) { 1.0 } else { NEW_BREATH };
+        let weight = if self.is_of_another_kind(breath) { 1.0 } else { NEW_BREATH };
         let mean = self.sum / self.count;
-        self.next = bins_before(breath, moment.tick + 1).clamp(bin + 1, BINS);
+        self.next = bins_before(length, moment.tick + 1).clamp(bin + 1, BINS);
         debug_assert!(mean >= 0.0, "a valve has no negative command");
         for bin in bin..self.next {
             let before = self.commands.good()[bin];
@@ -168,9 +196,9 @@ impl Backup {
         }
     }
 
-    /// Whether the good breaths had another rise: then their commands are no part of the mean.
-    fn is_of_another_rise(&self, breath: &Breath) -> bool {
-        self.rise.is_none_or(|rise| rise.to_bits() != rise_of(breath).to_bits())
+    /// Whether the good breaths had another rise or another length: then their commands are no part of the mean.
+    fn is_of_another_kind(&self, breath: &Breath) -> bool {
+        self.good.is_none_or(|good| !good.is_like(breath))
     }
 
     /// Makes the running inspiration, which was a good one, part of the mean, if its commands were recorded up to its last tick.
@@ -178,17 +206,20 @@ impl Backup {
     pub fn accept(&mut self, breath: &Breath) {
         let Some(last) = self.next.checked_sub(1) else { return };
         debug_assert!(last < BINS);
-        if self.next < bin(breath, breath.inspiration_ticks().saturating_sub(1)) {
+        let length = breath.inspiration_ticks();
+        if self.next < bin(length, length.saturating_sub(1)) {
             return;
         }
         for bins in [&mut self.commands, &mut self.volumes] {
             let value = bins.running()[last];
             bins.running()[self.next..].fill(value);
         }
-        let changed = self.is_of_another_rise(breath);
+        let before = self.good.filter(|good| good.is_like(breath));
         self.commands.accept();
-        self.rise = Some(rise_of(breath));
-        self.accept_course(changed);
+        let mean = before.map_or(self.modelled, |good| good.modelled);
+        let modelled = mean + NEW_BREATH * (self.modelled - mean);
+        self.good = Some(Good { rise: rise_of(breath), length: breath.inspiration_ticks(), modelled });
+        self.accept_course(before.is_none());
     }
 
     /// Adds the course of the running inspiration's volume to the mean, if the flow sensor was sound.
@@ -210,17 +241,18 @@ impl Backup {
     pub fn command(&self, moment: &Moment, by_flow: bool) -> f32 {
         let breath = moment.breath;
         let rise = rise_of(breath);
-        let Some(good_rise) = self.rise else {
+        let Some(good) = &self.good else {
             return rise * STIFFEST / breath.settings().inspiratory_time / FLOW_PER_COMMAND;
         };
-        let scale = math::limit(rise / good_rise, 0.0, 1.0);
-        let bin = bin(breath, moment.tick);
+        let scale = math::limit(rise / good.rise, 0.0, 1.0);
+        // The last command lasts.
+        let bin = bin(good.length, moment.tick);
         let command = scale * self.commands.good()[bin];
         let Some(course) = self.course.as_ref().filter(|_| by_flow && self.is_flow_sound()) else {
-            return command;
+            return if self.modelled < scale * good.modelled { command } else { 0.0 };
         };
         let whole = scale * course.whole;
-        if self.measured >= whole {
+        if self.measured >= whole || self.modelled >= MOST_OF_MODEL * scale * good.modelled {
             return 0.0;
         }
         let wanted = whole * self.volumes.good()[bin] / course.last;
@@ -239,14 +271,14 @@ fn rise_of(breath: &Breath) -> f32 {
     breath.settings().pip - breath.settings().peep
 }
 
-/// The bin of a tick; a tick after the inspiration is in the last one.
-fn bin(breath: &Breath, tick: u32) -> usize {
-    bins_before(breath, tick).min(BINS - 1)
+/// The bin of a tick in an inspiration of `length` ticks; a tick after it is in the last one.
+fn bin(length: u32, tick: u32) -> usize {
+    bins_before(length, tick).min(BINS - 1)
 }
 
 /// Number of bins that begin before the bin of a tick; ticks after the inspiration go on counting.
-fn bins_before(breath: &Breath, tick: u32) -> usize {
-    tick as usize * BINS / breath.inspiration_ticks().max(1) as usize
+fn bins_before(length: u32, tick: u32) -> usize {
+    tick as usize * BINS / length.max(1) as usize
 }
 
 #[cfg(test)]
@@ -259,13 +291,15 @@ mod tests {
         Breath::new(&paper_settings(pip), DEFAULT_PERIOD_US).unwrap()
     }
 
-    /// A good breath with a command per tick.
+    /// A good breath with a command per tick and a valve that gives 0.4 L/s, without a flow sensor; then the next inspiration begins.
     fn good(backup: &mut Backup, breath: &Breath, command: impl Fn(u32) -> f32) {
         backup.start_breath();
         for tick in 0..breath.inspiration_ticks() {
+            backup.count(f32::NAN, 0.4, breath.period_s());
             backup.record(&breath.at(tick), command(tick));
         }
         backup.accept(breath);
+        backup.start_breath();
     }
 
     #[test]
@@ -344,15 +378,56 @@ mod tests {
         for tick in 0..breath.inspiration_ticks() {
             assert!((backup.command(&breath.at(tick), true) - tick as f32).abs() < 1e-4);
         }
-        // 30 ticks with the commands of 20.
-        let long = slow_breath(0.6);
-        let commands = [0, 1, 2, 29].map(|tick| backup.command(&long.at(tick), true));
-        let expected = [0.0, 0.0, 1.0, 19.0];
-        assert!(commands.iter().zip(expected).all(|(c, e)| (c - e).abs() < 1e-4), "{commands:?}");
-        good(&mut backup, &long, |_| 10.0);
-        let means = [0, 1, 2, 29].map(|tick| backup.command(&breath.at(tick), true));
+        good(&mut backup, &breath, |_| 10.0);
+        let means = [0, 1, 2, 19].map(|tick| backup.command(&breath.at(tick), true));
         let expected = [3.0, 3.7, 4.4, 16.3];
         assert!(means.iter().zip(expected).all(|(mean, e)| (mean - e).abs() < 1e-4), "{means:?}");
+    }
+
+    #[test]
+    fn the_commands_keep_their_time_whatever_the_inspiratory_time_and_the_last_one_lasts() {
+        let mut backup = Backup::new();
+        good(&mut backup, &slow_breath(0.4), |tick| tick as f32);
+        for inspiratory_time in [0.2, 0.6] {
+            let breath = slow_breath(inspiratory_time);
+            let expected = |tick: u32| tick.min(19) as f32;
+            let as_expected =
+                |tick: u32| (backup.command(&breath.at(tick), true) - expected(tick)).abs() < 1e-4;
+            assert!((0..breath.inspiration_ticks()).all(as_expected), "{inspiratory_time} s");
+        }
+        good(&mut backup, &slow_breath(0.6), |_| 10.0);
+        let command = backup.command(&slow_breath(0.4).at(5), true);
+        assert!((command - 10.0).abs() < 1e-4, "a mean of breaths of one length: {command}");
+    }
+
+    #[test]
+    fn without_a_flow_sensor_the_valve_closes_when_its_model_has_given_the_volume_of_the_good_breaths() {
+        for inspiratory_time in [0.2, 1.0, 2.4, 5.0] {
+            for (pip, share) in [(25.0, 1.0), (35.0, 1.0), (15.0, 0.5)] {
+                let mut backup = Backup::new();
+                good(&mut backup, &breath(25.0), |_| 30.0);
+                let settings = Settings { inspiratory_time, rate: 10.0, ..paper_settings(pip) };
+                let later = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
+                for tick in 0..later.inspiration_ticks() {
+                    let opens = backup.command(&later.at(tick), true) > 0.0;
+                    backup.count(f32::NAN, if opens { 0.4 } else { 0.0 }, 0.001);
+                }
+                let most = share * 400.0_f32.min(400.0 * inspiratory_time / share);
+                assert!((backup.modelled - most).abs() < 0.5, "{inspiratory_time} s: {} mL", backup.modelled);
+            }
+        }
+    }
+
+    #[test]
+    fn a_flow_sensor_that_shows_little_gets_no_more_than_a_low_supply_takes_away() {
+        let (breath, mut backup) = (breath(25.0), Backup::new());
+        delivered(&mut backup, &breath, 0.4, 0.4);
+        backup.start_breath();
+        let mut command = |modelled: f32| {
+            (backup.measured, backup.modelled) = (0.55 * modelled, modelled);
+            backup.command(&breath.at(999), true)
+        };
+        assert!(command(660.0) > 29.0 && command(667.0).abs() < 1e-6);
     }
 
     #[test]
@@ -363,7 +438,9 @@ mod tests {
         (0..last).for_each(|tick| backup.record(&breath.at(tick), 10.0 + tick as f32));
         backup.count(0.4, 0.4, 0.02);
         backup.accept(&breath);
-        assert!((backup.command(&breath.at(last), false) - 9.0 - last as f32).abs() < 1e-4);
+        let mut next = backup.clone();
+        next.start_breath();
+        assert!((next.command(&breath.at(last), false) - 9.0 - last as f32).abs() < 1e-4);
         assert_eq!(backup.volumes.good()[BINS - 1].to_bits(), backup.volumes.good()[BINS - 4].to_bits());
         // The command of the last tick comes after this and belongs to no mean.
         backup.record(&breath.at(last), 90.0);

@@ -24,6 +24,10 @@ pub const SOFTEST: f32 = 1.0 / 120.0;
 const ELASTANCES: (f32, f32) = (SOFTEST, 1.0);
 /// Highest resistance that an estimate may have, cmH2O/(L/s).
 const RESISTANCE_MAX: f32 = 100.0;
+/// Resistance of the expiratory path, through which the lung empties, cmH2O/(L/s): that of its orifice at a high flow.
+const EXPIRATORY: f32 = 15.0;
+/// Largest share of its gas that an expiration leaves in the lung.
+const MOST_LEFT: f32 = 0.95;
 /// Largest fraction of the rise's sum of squares that the fit may leave unexplained.
 const UNEXPLAINED: f32 = 0.1;
 /// Smallest predicted rise at which the pressure is checked, cmH2O.
@@ -115,6 +119,13 @@ impl LungEstimate {
     fn rise(self, volume: f32, flow: f32) -> f32 {
         self.elastance * volume + self.resistance * flow
     }
+
+    /// Share of the gas that is still in the lung after an expiration of this length, s; at most [`MOST_LEFT`].
+    fn left_after(self, expiration: f32) -> f32 {
+        // In time constants. The series is below the exponential, so that no gas is forgotten.
+        let x = math::limit(1000.0 * expiration * self.elastance / (self.resistance + EXPIRATORY), 0.0, 1e3);
+        (1.0 / (1.0 + x * (1.0 + x * (0.5 + x / 6.0)))).min(MOST_LEFT)
+    }
 }
 
 /// A past tick of the inspiration.
@@ -145,6 +156,8 @@ pub struct LungState {
     pipe: [f32; DELAY_MAX],
     at: usize,
     opening: f32,
+    /// Flow of the valve into ambient pressure, L/s.
+    valve_flow: f32,
     /// Flow of the last tick, L/s, and volume of the inspiration so far, mL.
     flow: f32,
     volume: f32,
@@ -162,6 +175,17 @@ pub struct LungState {
     ticks: usize,
     /// Predicted change in the last [`WINDOW`] ticks, cmH2O.
     growth: f32,
+    /// Without a pressure: gas of earlier breaths in the lung.
+    trapped_gas: Option<TrappedGas>,
+}
+
+/// Gas that the lung keeps from breath to breath because its expirations are too short, mL.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct TrappedGas {
+    /// At the start of the running breath.
+    now: f32,
+    /// While pressure control still worked: the estimates contain that.
+    usual: f32,
 }
 
 impl LungEstimator {
@@ -185,6 +209,7 @@ impl LungEstimator {
         state.at = (state.at + 1) % DELAY_MAX;
         let due = state.pipe[(state.at + DELAY_MAX - 1 - self.delay) % DELAY_MAX];
         state.opening += self.lag_factor * (due - state.opening);
+        state.valve_flow = flow(state.opening);
         debug_assert!(state.at < DELAY_MAX && !state.opening.is_nan());
     }
 
@@ -216,7 +241,7 @@ impl LungEstimator {
 
     /// Adds the gas of a tick at this pressure, cmH2O, to the volume.
     fn count(&self, state: &mut LungState, pressure: f32) {
-        state.flow = flow(state.opening) * math::limit(1.0 - BACK_PRESSURE * pressure, 0.0, 1.0);
+        state.flow = state.valve_flow * math::limit(1.0 - BACK_PRESSURE * pressure, 0.0, 1.0);
         state.volume += 1000.0 * state.flow * self.period;
         debug_assert!(state.flow >= 0.0 && state.volume >= 0.0, "the valve lets no gas out");
     }
@@ -247,7 +272,7 @@ impl LungEstimator {
 impl LungState {
     /// Flow of the valve into ambient pressure, L/s.
     pub fn valve_flow(&self) -> f32 {
-        flow(self.opening)
+        self.valve_flow
     }
 
     /// Change that the delivered gas must have brought in the last [`WINDOW`] ticks of the inspiration, cmH2O.
@@ -267,6 +292,21 @@ impl LungState {
         let pressure = pressure.min(peep);
         (self.start, self.volume, self.sums) = (pressure, 0.0, LungFit::default());
         (self.unanswered, self.standing, self.ticks, self.growth) = (0, 0, 0, 0.0);
+    }
+
+    /// Ends a breath without a pressure reading, before the next inspiration starts: what the lung keeps after an expiration of this
+    /// length, s.
+    pub fn keep_gas(&mut self, expiration: f32) {
+        let left = self.lungs.iter().take(HIGHEST_OF).flatten().map(|lung| lung.left_after(expiration));
+        let left = left.fold(0.0, f32::max);
+        let usual = left * self.volume / (1.0 - left);
+        let before = self.trapped_gas.unwrap_or(TrappedGas { now: usual, usual });
+        self.trapped_gas = Some(TrappedGas { now: left * (before.now + self.volume), ..before });
+    }
+
+    /// Ends a breath with a pressure reading, which shows what the lung keeps.
+    pub fn forget_gas(&mut self) {
+        self.trapped_gas = None;
     }
 
     /// The tick `ticks` ago, at most [`WINDOW`]; the start of a shorter inspiration.
@@ -304,12 +344,8 @@ impl LungState {
 
     /// The lowest rise that the estimates predict, cmH2O: a patient's efforts may have falsified all but one of them.
     pub fn predicted_rise(&self) -> f32 {
-        self.rises(self.lungs.len()).reduce(f32::min).unwrap_or_else(|| self.rise(LungEstimate::SOFTEST))
-    }
-
-    /// Rises that the newest estimates predict, cmH2O.
-    fn rises(&self, newest: usize) -> impl Iterator<Item = f32> {
-        self.lungs.iter().take(newest).flatten().map(|lung| self.rise(*lung))
+        let rises = self.lungs.iter().flatten().map(|lung| self.rise(*lung));
+        rises.reduce(f32::min).unwrap_or_else(|| self.rise(LungEstimate::SOFTEST))
     }
 
     /// Rise of the running inspiration in a lung, cmH2O.
@@ -325,7 +361,9 @@ impl LungState {
 
     /// The highest pressure that the last two estimates predict, cmH2O; none without an estimate.
     pub fn predicted_pressure(&self) -> Option<f32> {
-        self.rises(HIGHEST_OF).reduce(f32::max).map(|rise| self.start + rise)
+        let kept = self.trapped_gas.map_or(0.0, |gas| (gas.now - gas.usual).max(0.0));
+        let rise = |lung: &LungEstimate| lung.rise(self.volume + kept, self.flow);
+        self.lungs.iter().take(HIGHEST_OF).flatten().map(rise).reduce(f32::max).map(|rise| self.start + rise)
     }
 }
 
@@ -336,6 +374,7 @@ impl Default for LungState {
             pipe: [0.0; DELAY_MAX],
             at: 0,
             opening: 0.0,
+            valve_flow: 0.0,
             flow: 0.0,
             volume: 0.0,
             start: 0.0,
@@ -347,6 +386,7 @@ impl Default for LungState {
             past: [PastTick { pressure: 0.0, predicted: 0.0 }; WINDOW],
             ticks: 0,
             growth: 0.0,
+            trapped_gas: None,
         }
     }
 }

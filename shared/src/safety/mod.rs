@@ -13,6 +13,7 @@
 //! | [`breath_monitor`] | checks each phase of the breaths |
 //! | [`lung_estimator`] | estimates the lung, and checks that the pressure responds to the delivered gas |
 //! | [`standing`] | finds a reading that stands still while gas goes in and out |
+//! | [`flow_monitor`] | checks the flow sensor against the valve's gas |
 //! | [`leak`] | estimates the leak of the circuit |
 //! | [`volumes`] | measures what goes in and comes out |
 //! | [`volume_monitor`] | checks tidal volume and minute volume, and detects apnoea |
@@ -32,6 +33,7 @@ pub mod breath_monitor;
 pub mod expected;
 pub mod expiration;
 pub mod filter;
+pub mod flow_monitor;
 pub mod host;
 pub mod indications;
 pub mod ladder;

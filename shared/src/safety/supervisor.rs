@@ -18,6 +18,7 @@ use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
 use super::expected::Expected;
 use super::expiration::{Expiration, ExpirationState, IN_A_ROW, TIGHT};
 use super::filter::ValveCommand;
+use super::flow_monitor::{FlowMonitor, FlowState};
 use super::indications::Indications;
 use super::ladder::{CAP, Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
@@ -44,6 +45,8 @@ pub const MISSED_MAX: u32 = 5;
 pub const CUTS_MAX: u32 = 3;
 /// Fraction of the rise from PEEP to PIP that a good inspiration reaches.
 const GOOD_RISE: f32 = 0.7;
+/// Fraction of that rise from which the valve gives what it is commanded to: a supply that falls leaves less.
+const FULL_RISE: f32 = 0.85;
 /// Fraction of that rise from which a reading responds to the gas.
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
@@ -80,6 +83,7 @@ pub struct Supervisor {
     lung: LungEstimator,
     expiration: Expiration,
     volume: VolumeMonitor,
+    flow: FlowMonitor,
     /// Largest change of the learned part in a tick, percent.
     slew: f32,
     /// [`OPENED`] and [`EMPTIED`] in ticks.
@@ -104,6 +108,7 @@ pub struct SupervisorState {
     gas: Gas,
     /// Inspirations in a row in which the flow sensor did not show the gas of the valve's model.
     unshown: u32,
+    flow: FlowState,
     backup: Backup,
     ladder: Ladder,
     /// Settings of the running breath.
@@ -136,6 +141,8 @@ pub struct Belief<'a> {
     pub reading: f32,
     /// The pressure in which an effort shows, cmH2O: NaN unless read in this tick from a connected patient.
     pub effort: f32,
+    /// The flow towards the patient, L/s: NaN unless a sound sensor has read it.
+    pub flow: f32,
     /// Level of the ladder that commands the inspiratory valve.
     pub level: Level,
     /// Whether the inspiration was ended at the pressure limit.
@@ -161,6 +168,7 @@ impl Supervisor {
             lung: LungEstimator::new(period_us),
             expiration: Expiration::new(period_us, monitors),
             volume: VolumeMonitor::new(period_us),
+            flow: FlowMonitor::new(period_us, monitors),
             slew: RESIDUAL_SLEW * period_s(period_us),
             opened: ticks(OPENED, period_us),
             emptied: ticks(EMPTIED, period_us),
@@ -201,10 +209,16 @@ impl Supervisor {
         readings: &Readings,
         moment: Moment<'a>,
     ) -> Option<Belief<'a>> {
-        let expected = self.expected(state, readings.flow, &moment);
-        let doubtful = self.check_readings(state, readings, moment.breath, expected);
-        self.check_tick(state, readings, &moment, doubtful);
-        self.belief(state, readings, moment)
+        let flow = if state.flow.is_lost() { f32::NAN } else { readings.flow };
+        let trusted = Readings { flow, ..*readings };
+        let expected = self.expected(state, flow, &moment);
+        let doubtful = self.check_readings(state, &trusted, moment.breath, expected);
+        if moment.tick == 0 {
+            state.flow.start_breath();
+        }
+        state.flow.add(readings.flow, state.lung.valve_flow(), moment.inspires() && !state.cut());
+        self.check_tick(state, &trusted, &moment, doubtful);
+        self.belief(state, &trusted, moment)
     }
 
     /// Checks the readings of a tick in which no breath runs.
@@ -265,6 +279,7 @@ impl Supervisor {
             pressure,
             reading: if fresh { pressure } else { readings.airway },
             effort: if fresh && connected { pressure } else { f32::NAN },
+            flow: readings.flow,
             level,
             cut,
             pip_shift: state.expiration.shift(moment.breath),
@@ -314,7 +329,7 @@ impl Supervisor {
         // The first tick has enough to do.
         match moment.tick {
             0 => self.start_breath(state, pressure, settings),
-            1 => self.learn_leak(state, settings),
+            1 => self.check_flow(state, settings),
             2 => self.check_volumes(state, settings),
             3 => self.judge_gas(state, readings, settings),
             _ => {}
@@ -349,6 +364,17 @@ impl Supervisor {
         if moment.inspires() {
             let by_flow = self.responses().has(Response::BackupByFlow) && state.backup.is_flow_sound();
             self.lung.deliver(&mut state.lung, by_flow.then_some(readings.flow));
+        }
+    }
+
+    /// Checks the flow sensor by the last breath. While it is in doubt no leak is learned from it.
+    fn check_flow(&self, state: &mut SupervisorState, settings: &Settings) {
+        let blind = state.reading == Reading::Lost;
+        if let Some(fault) = self.flow.judge(&mut state.flow, blind) {
+            self.report(state, fault);
+        }
+        if !state.flow.is_doubtful() {
+            self.learn_leak(state, settings);
         }
     }
 
@@ -471,9 +497,9 @@ impl Supervisor {
             command: state.applied,
             capped: self.level(state) == Level::CappedPid,
             volume: state.lung.volume(),
-            reached: state.volumes.inspired(),
+            reached: state.volumes.inspired().map(|_| state.flow.reached(moment.breath.period_s())),
             leaks: state.volumes.expired_share().is_some_and(|share| share < TIGHT),
-            last: state.volumes.breath(),
+            last: state.volumes.exchange(),
         };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.report(state, fault);
@@ -540,6 +566,9 @@ impl Supervisor {
         } else if rise >= GOOD_RISE * whole && state.standing.has_moved() {
             state.lung.forget_false(pressure);
             state.backup.accept(breath);
+            if rise >= FULL_RISE * whole {
+                state.flow.rose(rise);
+            }
         }
     }
 
@@ -558,10 +587,15 @@ impl Supervisor {
             state.volume.settings_changed();
         }
         (state.cut, state.missed, state.learned) = (Cut::None, 0, 0.0);
+        match pressure {
+            Some(_) => state.lung.forget_gas(),
+            None => state.lung.keep_gas(self.flow.expiration(&state.flow)),
+        }
         let pressure = pressure.filter(|_| !state.breath.is_disconnected());
         state.lung.start_inspiration(pressure.unwrap_or(settings.peep), settings.peep);
         state.backup.start_breath();
         state.volumes.start_breath();
+        state.volumes.limit_exchange(self.flow.swing(&state.flow));
         let expired = state.volumes.expired_share();
         let swings = state.standing.swings();
         if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired, swings) {

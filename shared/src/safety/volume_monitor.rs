@@ -100,7 +100,7 @@ impl VolumeMonitor {
             return [None, None, None, lost.then_some(Fault::FlowSensorLost)];
         };
         state.exists = true;
-        let apnoea = apnoea(state, breath, seconds, settings);
+        let apnoea = apnoea(state, volumes.exchange().unwrap_or(breath), seconds, settings);
         if state.unchecked > 0 {
             state.unchecked -= 1;
             return [None, None, apnoea, None];

@@ -88,6 +88,8 @@ pub struct Volumes {
     last_ticks: u32,
     /// Volumes of the lung in the last breath, if the flow was measured.
     breath: Option<BreathVolumes>,
+    /// The same, as far as they are a breath.
+    exchange: Option<BreathVolumes>,
     /// Expired share of the inspired volume of the last breath, if the flow was measured.
     expired_share: Option<f32>,
     /// Gas that the last breath lost.
@@ -133,6 +135,16 @@ impl Volumes {
         let loss = (known && root > 0.0).then_some(Loss { gas: inspired - self.expired, root, inspired });
         let Self { ticks: last_ticks, flow, smooth, lung, .. } = *self;
         *self = Self { lung, flow, smooth, last_ticks, breath, expired_share, loss, ..Self::default() };
+        self.exchange = breath;
+    }
+
+    /// Limits what counts as a breath by the swing of the last one, mL: what an offset of the sensor takes from the known leak, or adds to
+    /// it, goes in and out without one.
+    pub fn limit_exchange(&mut self, swing: f32) {
+        if let Some(BreathVolumes { inspired, expired, .. }) = &mut self.exchange {
+            *inspired = inspired.min(swing.abs());
+            *expired = expired.min(swing.abs());
+        }
     }
 
     /// Smoothed flow towards the patient, L/s; the last one without a reading, at first 0.
@@ -163,6 +175,11 @@ impl Volumes {
     /// Volumes of the lung in the last breath; none if the flow was not measured.
     pub fn breath(&self) -> Option<BreathVolumes> {
         self.breath
+    }
+
+    /// The same, as far as they are a breath: neither is more than the swing.
+    pub fn exchange(&self) -> Option<BreathVolumes> {
+        self.exchange
     }
 
     /// Expired share of the inspired volume in the last breath; none if the flow was not measured.

@@ -9,6 +9,11 @@ fn estimator() -> (LungEstimator, LungState) {
     (LungEstimator::new(PERIOD_US), LungState::default())
 }
 
+/// A valve that has been at an opening for long, percent.
+fn open_at(opening: f32) -> LungState {
+    LungState { opening, valve_flow: flow(opening), ..LungState::default() }
+}
+
 #[test]
 fn a_sound_flow_sensor_counts_the_gas_without_a_pressure_but_never_too_little() {
     let delivered = |measured: Option<f32>| {
@@ -133,7 +138,7 @@ fn the_valves_flow_is_its_curve_and_never_beyond_it() {
     let curve =
         [(-5.0, 0.0), (0.0, 0.0), (5.0, 0.023), (10.0, 0.046), (75.0, 1.1295), (95.0, 1.5595), (100.0, 1.67)];
     for (opening, expected) in curve.into_iter().chain([(130.0, 1.67), (f32::NAN, 0.0)]) {
-        let open = LungState { opening, ..LungState::default() };
+        let open = open_at(opening);
         assert!((open.valve_flow() - expected).abs() < 1e-5, "{opening} %: {}", open.valve_flow());
     }
 }
@@ -142,7 +147,7 @@ fn the_valves_flow_is_its_curve_and_never_beyond_it() {
 fn a_pressure_behind_the_valve_takes_flow_away_and_flow_sums_to_volume() {
     let open = |pressure: f32| {
         let (estimator, _) = estimator();
-        let mut state = LungState { opening: 100.0, ..LungState::default() };
+        let mut state = open_at(100.0);
         estimator.check(&mut state, pressure, false);
         estimator.check(&mut state, pressure, false);
         (state.flow, state.volume())
@@ -156,7 +161,7 @@ fn a_pressure_behind_the_valve_takes_flow_away_and_flow_sums_to_volume() {
 #[test]
 fn without_a_reading_the_predicted_pressure_takes_flow_away() {
     let (estimator, _) = estimator();
-    let mut state = LungState { opening: 100.0, start: 40.0, ..predicting(60.0) };
+    let mut state = LungState { start: 40.0, valve_flow: flow(100.0), ..predicting(60.0) };
     estimator.deliver(&mut state, None);
     assert!((state.flow - 0.67 * 1.67).abs() < 1e-5, "{} L/s against 100 cmH2O", state.flow);
 }
@@ -371,4 +376,41 @@ fn estimates_that_a_good_inspiration_belies_are_forgotten() {
     assert_eq!(left(16.1), [true, true, false, true, true]);
     assert_eq!(left(15.9), [false, true, false, false, false]);
     assert_eq!(left(9.9), [false; ALL]);
+}
+
+#[test]
+fn a_lung_that_keeps_gas_from_breath_to_breath_has_a_higher_pressure() {
+    // 40 mL/cmH2O through 5 + 15 cmH2O/(L/s): a time constant of 0.8 s.
+    let lung = LungEstimate { elastance: 0.025, resistance: 5.0 };
+    let after = |expirations: &[f32]| {
+        let mut state = LungState { lungs: [Some(lung); ESTIMATES + 1], ..LungState::default() };
+        for expiration in expirations {
+            state.volume = 800.0;
+            state.keep_gas(*expiration);
+            state.start_inspiration(5.0, 5.0);
+        }
+        state.predicted_pressure().unwrap()
+    };
+    assert!((after(&[0.6]) - 5.0).abs() < 1e-3, "what it kept before is in the estimate");
+    assert!((after(&[2.0; 9]) - 5.0).abs() < 1e-2);
+    // 48 % are left in each breath: 726 mL of 800, and 97 of them were kept before.
+    let short = [[2.0].as_slice(), &[0.6; 30]].concat();
+    assert!((after(&short) - 5.0 - 0.025 * (726.0 - 97.0)).abs() < 1.0, "{}", after(&short));
+    let mut state =
+        LungState { trapped_gas: Some(TrappedGas { now: 900.0, usual: 0.0 }), ..predicting(20.0) };
+    let with = state.predicted_pressure().unwrap();
+    state.forget_gas();
+    assert!(state.predicted_pressure().unwrap() < with - 1.0, "a pressure reading tells");
+}
+
+#[test]
+fn a_lung_without_an_estimate_keeps_nothing_and_none_keeps_all() {
+    let mut state = LungState { volume: 800.0, ..LungState::default() };
+    state.keep_gas(0.5);
+    assert_eq!(state.trapped_gas, Some(TrappedGas { now: 0.0, usual: 0.0 }));
+    let lung = LungEstimate { elastance: SOFTEST, resistance: RESISTANCE_MAX };
+    assert!(
+        (lung.left_after(0.0) - MOST_LEFT).abs() < 1e-6 && (lung.left_after(-1.0) - MOST_LEFT).abs() < 1e-6
+    );
+    assert!(lung.left_after(f32::NAN) > 0.9 && lung.left_after(1e9) < 1e-6);
 }

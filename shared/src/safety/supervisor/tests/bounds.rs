@@ -192,6 +192,7 @@ fn an_inspiration_to_seven_tenths_of_the_rise_is_a_good_one() {
     let backup_after = |plateau| {
         let mut run = Run::new();
         breath_to(&mut run, plateau, 10.0);
+        run.state.backup.start_breath();
         run.backup(500) as i32
     };
     let before = Backup::new().command(&breath().at(500), true) as i32;

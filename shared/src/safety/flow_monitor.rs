@@ -1,0 +1,699 @@
+//! Checks the flow sensor: whether its reading moves with the breaths, and whether it agrees with the gas that the valve gives.
+//!
+//! Once per breath, over the volumes of its two phases. While the expiratory valve is closed, all gas of the inspiratory valve goes into
+//! the circuit, the lung and the leak, whatever the patient does: the sensor must show it. The valve's model is not exact, so the share
+//! that a sound sensor shows is learned, for breaths with about as much gas. The *swing*, the volume of the inspiration less the mean
+//! flow of the whole breath, contains no offset: a reading that stands still has none, with noise or without.
+//!
+//! The gas tells something only while pressure control works: in a breath that reaches its pressure, with more gas than the circuit
+//! takes. A sensor that is found wrong is not used until it is sound again. Without a pressure reading a sound sensor tells whether the
+//! gas gets to the patient.
+
+use super::alarms::Fault;
+use super::monitors::{Monitors, in_a_row};
+use crate::breath::period_s;
+
+/// Lowest and highest share of the usual volume per gas of the valve that a sound sensor shows.
+pub const GAIN: (f32, f32) = (0.5, 2.0);
+/// The same share of the valve's model before there is a usual one: the valve of a newborn's machine gives a fifth of what the model
+/// says, and a low compliance leaves half of that in the circuit.
+const ANY_GAIN: (f32, f32) = (0.05, 3.0);
+/// Offset, L/s, and share of the usual volume by which the inspired volume may differ from it.
+pub const OFFSET: f32 = 0.1;
+const INEXACT: f32 = 0.2;
+/// Share of the usual volume and swing by which those of a breath may differ that is learned from.
+const TYPICAL: f32 = 0.3;
+/// Flow that a breath may gain or lose without a leak, L/s: more is an offset.
+pub const NET: f32 = 0.08;
+/// Volume that a breath may gain or lose beyond that, mL.
+const NET_VOLUME: f32 = 30.0;
+/// Share of the usual volume below which the swing is that of a reading that stands still, and of the model's before there is a usual
+/// one. A leak at a PEEP near PIP leaves more.
+const STILL: f32 = 0.03;
+const STILL_OF_MODEL: f32 = 0.02;
+/// Volume that the circuit takes per pressure, at most, mL/cmH2O.
+const CIRCUIT: f32 = 2.0;
+/// Smallest volume beyond that of the circuit that tells something, mL.
+pub const TELLING: f32 = 60.0;
+/// Factor on the valve's gas within which breaths are compared: its curve differs from the model's.
+const SIMILAR: f32 = 1.5;
+/// Breaths in a row with another gas and another share of it that become the usual ones.
+const UNLIKE: u32 = 5;
+/// Share of the readings that repeat the one before, up to which a sensor has noise.
+const REPEATS: f32 = 0.05;
+/// Weight of a new breath in the usual one.
+const NEW_BREATH: f32 = 0.3;
+/// Breaths in a row that contradict the gas after which the sensor is not used.
+pub const BELIED: u32 = 2;
+/// The same with more gas out than in: a stiffer lung or a lower PEEP lets gas out for a few.
+pub const ONLY_OUT: u32 = 5;
+/// Time for which a sensor must be sound before it is used again, s.
+pub const SOUND: f32 = 5.0;
+/// Without a pressure reading: share of the usual volume below which the gas does not get to the patient.
+pub const GETS_THROUGH: f32 = 0.25;
+/// The smallest usual volume from which this shows, mL.
+const TELLING_BLIND: f32 = 30.0;
+/// Breaths in a row whose gas does not get to the patient that raise the alarm.
+pub const BLOCKED_BREATHS: u32 = 2;
+
+/// Places of the phases in a breath's sums: the open and the closed expiratory valve.
+const REST: usize = 0;
+const INSPIRATION: usize = 1;
+
+/// Sums over a breath's ticks with a flow reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Sums {
+    /// Flow by the sensor and by the valve's model in each phase, L/s.
+    sensor: [f32; 2],
+    valve: [f32; 2],
+    ticks: [u32; 2],
+    /// Ticks with an open expiratory valve, also those without a reading.
+    rest: u32,
+    /// The last reading, and how many were the same as the one before.
+    latest: u32,
+    repeats: u32,
+    /// Rise of the pressure at the end of the inspiration if it was a good one, cmH2O.
+    rise: Option<f32>,
+}
+
+/// Usual volumes per gas of the valve, and that gas, mL.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Usual {
+    /// Of the inspired volume.
+    share: f32,
+    /// Of the swing.
+    swing: f32,
+    valve: f32,
+}
+
+/// What a breath says of the sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    /// It stands still, to the last bit.
+    Frozen,
+    /// Its volumes are not those of the gas.
+    Belied,
+    /// More gas goes out than in, or more in than the valve gives.
+    Unbalanced,
+    /// Nothing.
+    Silent,
+    /// It shows the gas.
+    Sound,
+    /// It shows that the gas does not get to the patient.
+    Blocked,
+}
+
+/// Why the sensor is not used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Loss {
+    /// By its own readings: any breath that does not repeat it is sound.
+    Reading,
+    /// By its gas: only a breath that shows gas is sound.
+    Gas,
+}
+
+/// Configuration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlowMonitor {
+    period: f32,
+    /// Whether the monitor of the flow sensor is enabled.
+    enabled: bool,
+}
+
+/// State; all zero before the first breath.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FlowState {
+    running: Sums,
+    last: Sums,
+    usual: Option<Usual>,
+    /// Whether noise has changed nearly every reading of a sound breath.
+    noisy: bool,
+    /// Breaths in a row that are unlike the usual one, in gas and share.
+    unlike: u32,
+    /// Breaths in a row that contradict the gas, in which more goes out than in, and whose gas does not get to the patient.
+    belied: u32,
+    only_out: u32,
+    blocked: u32,
+    lost: Option<Loss>,
+    /// Time for which a lost sensor has been sound, s.
+    sound: f32,
+}
+
+/// Volumes of a breath, mL, and its times, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Gas {
+    inspired: f32,
+    /// In the whole breath.
+    net: f32,
+    swing: f32,
+    /// Gas of the valve, in the inspiration and in the whole breath.
+    valve: f32,
+    given: f32,
+    seconds: f32,
+    inspiration: f32,
+}
+
+impl Sums {
+    #[inline]
+    fn add(&mut self, flow: f32, valve: f32, phase: usize) {
+        let bits = flow.to_bits();
+        self.repeats += u32::from(bits == self.latest);
+        self.latest = bits;
+        self.sensor[phase] += flow;
+        self.valve[phase] += valve;
+        self.ticks[phase] += 1;
+    }
+
+    /// Mean flow, L/s; 0 without a reading.
+    fn mean(&self) -> f32 {
+        (self.sensor[REST] + self.sensor[INSPIRATION])
+            / (self.ticks[REST] + self.ticks[INSPIRATION]).max(1) as f32
+    }
+
+    fn gas(&self, period: f32) -> Gas {
+        let volume = |flow: f32| 1000.0 * period * flow;
+        let [rest, inspiration] = self.ticks.map(|ticks| ticks as f32 * period);
+        let inspired = volume(self.sensor[INSPIRATION]);
+        let valve = volume(self.valve[INSPIRATION]);
+        Gas {
+            inspired,
+            net: inspired + volume(self.sensor[REST]),
+            swing: inspired - 1000.0 * self.mean() * inspiration,
+            valve,
+            given: valve + volume(self.valve[REST]),
+            seconds: rest + inspiration,
+            inspiration,
+        }
+    }
+
+    /// Whether all readings were the same. A quiet sensor may show no flow where there is none.
+    fn is_frozen(&self, quiet: bool) -> bool {
+        let [rest, inspiration] = self.ticks;
+        let all = rest > 0 && inspiration > 0 && self.repeats + 1 >= rest + inspiration;
+        all && !(quiet && f32::from_bits(self.latest) == 0.0)
+    }
+
+    /// Whether so few readings repeat the one before that it is noise that changes them.
+    fn is_noisy(&self) -> bool {
+        self.repeats as f32 <= REPEATS * (self.ticks[REST] + self.ticks[INSPIRATION]) as f32
+    }
+}
+
+impl Usual {
+    fn of(gas: &Gas) -> Self {
+        Self { share: gas.inspired / gas.valve, swing: gas.swing / gas.valve, valve: gas.valve }
+    }
+
+    /// Whether a breath has about as much gas.
+    fn is_like(&self, gas: &Gas) -> bool {
+        gas.valve <= SIMILAR * self.valve && SIMILAR * gas.valve >= self.valve
+    }
+
+    /// Whether a breath shows about the usual shares of its gas.
+    fn is_typical(&self, gas: &Gas) -> bool {
+        let near = |shown: f32, usual: f32| (shown - usual * gas.valve).abs() <= TYPICAL * usual * gas.valve;
+        near(gas.inspired, self.share) && near(gas.swing, self.swing)
+    }
+
+    /// Whether a breath with about as much gas shows it as usual.
+    fn agrees(&self, gas: &Gas) -> bool {
+        let (inspired, swing) = (self.share * gas.valve, self.swing * gas.valve);
+        let weak = gas.inspired < GAIN.0 * inspired && gas.swing < GAIN.0 * swing;
+        let strong = gas.inspired > GAIN.1 * inspired && gas.swing > GAIN.1 * swing;
+        let shift = 1000.0 * OFFSET * gas.inspiration + INEXACT * inspired;
+        let near = (gas.inspired - inspired).abs() <= shift;
+        !weak && !strong && near && gas.swing >= STILL * inspired
+    }
+
+    fn add(&mut self, gas: &Gas) {
+        let new = Self::of(gas);
+        let toward = |mean: &mut f32, value: f32| *mean += NEW_BREATH * (value - *mean);
+        toward(&mut self.share, new.share);
+        toward(&mut self.swing, new.swing);
+        toward(&mut self.valve, new.valve);
+    }
+}
+
+impl FlowMonitor {
+    /// A monitor for a control period in microseconds; without the alarm about the sensor it is always used.
+    pub fn new(period_us: u32, enabled: Monitors) -> Self {
+        Self { period: period_s(period_us), enabled: enabled.has(Fault::FlowSensorLost) }
+    }
+
+    /// Judges the last breath, once; `blind`: without a pressure reading. Returns what it has found.
+    pub fn judge(&self, state: &mut FlowState, blind: bool) -> Option<Fault> {
+        let gas = state.last.gas(self.period);
+        if state.last.ticks[INSPIRATION] == 0 || !self.enabled {
+            return None;
+        }
+        let verdict = state.verdict(&gas, blind);
+        let unlike = state.last.rise.is_some() && state.usual.is_some_and(|usual| !usual.is_like(&gas));
+        state.unlike = in_a_row(state.unlike, unlike && verdict == Verdict::Silent && !state.is_lost());
+        state.only_out = in_a_row(state.only_out, gas.net < -allowed_net(&gas));
+        state.belied = match verdict {
+            Verdict::Belied | Verdict::Unbalanced => state.belied + 1,
+            Verdict::Sound | Verdict::Blocked => 0,
+            Verdict::Frozen | Verdict::Silent => state.belied,
+        };
+        state.blocked = in_a_row(state.blocked, verdict == Verdict::Blocked);
+        state.lose(verdict);
+        state.find(verdict, &gas);
+        if state.is_lost() {
+            return Some(Fault::FlowSensorLost);
+        }
+        (state.blocked >= BLOCKED_BREATHS).then_some(Fault::Occlusion)
+    }
+
+    /// Swing of the last breath, mL.
+    pub fn swing(&self, state: &FlowState) -> f32 {
+        state.last.gas(self.period).swing
+    }
+
+    /// Length of the last expiration, s.
+    pub fn expiration(&self, state: &FlowState) -> f32 {
+        state.last.rest as f32 * self.period
+    }
+}
+
+/// Volume that a breath may gain or lose without a leak, mL.
+fn allowed_net(gas: &Gas) -> f32 {
+    1000.0 * NET * gas.seconds + NET_VOLUME
+}
+
+impl FlowState {
+    /// Starts a breath.
+    pub fn start_breath(&mut self) {
+        self.last = core::mem::take(&mut self.running);
+        self.running.latest = self.last.latest;
+    }
+
+    /// Adds the flow of a tick by the sensor and by the valve's model, L/s; NaN without a reading. `inspires`: the expiratory valve is
+    /// closed.
+    #[inline]
+    pub fn add(&mut self, sensor: f32, valve: f32, inspires: bool) {
+        self.running.rest += u32::from(!inspires);
+        if !sensor.is_nan() {
+            self.running.add(sensor, valve, usize::from(inspires));
+        }
+    }
+
+    /// Takes note of the rise at the end of a good inspiration, cmH2O.
+    pub fn rose(&mut self, rise: f32) {
+        self.running.rise = Some(rise);
+    }
+
+    /// Whether the sensor is out of use.
+    pub fn is_lost(&self) -> bool {
+        self.lost.is_some()
+    }
+
+    /// Whether the last breath contradicts the sensor, or it is out of use.
+    pub fn is_doubtful(&self) -> bool {
+        self.belied > 0 || self.is_lost()
+    }
+
+    /// Volume that has reached the patient in the running inspiration, mL, if the mean flow of the last breath was an offset or a leak.
+    pub fn reached(&self, period: f32) -> f32 {
+        let Sums { sensor, ticks, .. } = self.running;
+        1000.0 * period * (sensor[INSPIRATION] - self.last.mean() * ticks[INSPIRATION] as f32)
+    }
+
+    /// What the last breath says.
+    fn verdict(&self, gas: &Gas, blind: bool) -> Verdict {
+        let share = self.usual.map_or(1.0, |usual| usual.share.max(1.0));
+        if self.last.is_frozen(!self.noisy) {
+            Verdict::Frozen
+        } else if gas.net > GAIN.1 * share * gas.given + allowed_net(gas) {
+            Verdict::Unbalanced
+        } else if blind {
+            self.blind_verdict(gas)
+        } else if self.last.rise.is_some_and(|rise| gas.valve - CIRCUIT * rise >= TELLING) {
+            self.controlled_verdict(gas)
+        } else {
+            Verdict::Silent
+        }
+    }
+
+    /// What a breath with pressure control says.
+    fn controlled_verdict(&self, gas: &Gas) -> Verdict {
+        let shown = Usual::of(gas);
+        let possible =
+            shown.share >= ANY_GAIN.0 && shown.share <= ANY_GAIN.1 && shown.swing >= STILL_OF_MODEL;
+        match self.usual {
+            Some(usual) if usual.is_like(gas) => {
+                if usual.agrees(gas) {
+                    Verdict::Sound
+                } else {
+                    Verdict::Belied
+                }
+            }
+            _ if !possible => Verdict::Belied,
+            None if self.is_lost() => Verdict::Silent,
+            None => Verdict::Sound,
+            // The valve's curve differs from the model's, but a fault of the sensor can make the gas differ too, as it starts a breath.
+            Some(usual) if self.unlike >= UNLIKE || usual.is_typical(gas) => Verdict::Sound,
+            Some(_) => Verdict::Silent,
+        }
+    }
+
+    /// What a breath without a pressure reading says.
+    fn blind_verdict(&self, gas: &Gas) -> Verdict {
+        let usual = self.usual.map_or(0.0, |usual| usual.share * gas.valve);
+        if usual < TELLING_BLIND {
+            Verdict::Silent
+        } else if gas.inspired < GETS_THROUGH * usual {
+            Verdict::Blocked
+        } else if gas.swing < STILL * usual {
+            Verdict::Belied
+        } else {
+            Verdict::Sound
+        }
+    }
+
+    /// Takes the sensor out of use if it is wrong.
+    fn lose(&mut self, verdict: Verdict) {
+        let loss = match verdict {
+            Verdict::Frozen => Loss::Reading,
+            Verdict::Unbalanced if self.belied >= BELIED => Loss::Reading,
+            Verdict::Belied if self.belied >= BELIED => Loss::Gas,
+            _ if self.only_out >= ONLY_OUT => Loss::Reading,
+            _ => return,
+        };
+        if self.lost != Some(Loss::Gas) {
+            self.lost = Some(loss);
+        }
+    }
+
+    /// Takes a sound sensor into use again, and learns from it.
+    fn find(&mut self, verdict: Verdict, gas: &Gas) {
+        let sound = match (self.lost, verdict) {
+            (_, Verdict::Sound) => true,
+            (Some(Loss::Reading), Verdict::Silent) => self.only_out == 0,
+            _ => false,
+        };
+        let wrong = matches!(verdict, Verdict::Frozen | Verdict::Belied | Verdict::Unbalanced);
+        if sound {
+            self.sound += gas.seconds;
+        } else if wrong || self.only_out > 0 {
+            self.sound = 0.0;
+        }
+        if self.is_lost() && self.sound >= SOUND {
+            (self.lost, self.belied, self.only_out) = (None, 0, 0);
+        }
+        if !self.is_lost() {
+            self.sound = 0.0;
+            self.learn(verdict, gas);
+        }
+    }
+
+    /// Learns the usual volumes from a sound breath.
+    fn learn(&mut self, verdict: Verdict, gas: &Gas) {
+        if verdict != Verdict::Sound || self.last.rise.is_none() {
+            return;
+        }
+        self.noisy |= self.last.is_noisy();
+        self.unlike = 0;
+        match &mut self.usual {
+            // One that an effort ends, or a sensor's fault, tells little.
+            Some(usual) if usual.is_like(gas) && !usual.is_typical(gas) => {}
+            Some(usual) if usual.is_like(gas) => usual.add(gas),
+            usual => *usual = Some(Usual::of(gas)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ticks of 10 ms, with 1 s of inspiration and 2 s of expiration.
+    const PERIOD_US: u32 = 10_000;
+    const TICKS: (u32, u32) = (100, 200);
+    /// Rise of the breaths, cmH2O.
+    const RISE: f32 = 20.0;
+
+    /// A sensor, a valve and a lung that gives out in 2 s what it has taken in.
+    struct Run {
+        monitor: FlowMonitor,
+        state: FlowState,
+        /// Flow of the valve in inspirations by its model, and what the lung gets of it, L/s.
+        valve: f32,
+        lung: f32,
+        /// Leak in inspirations and expirations, L/s, which the valve makes up for.
+        leak: (f32, f32),
+        rise: Option<f32>,
+    }
+
+    impl Run {
+        fn new() -> Self {
+            let monitor = FlowMonitor::new(PERIOD_US, Monitors::ALL);
+            Self {
+                monitor,
+                state: FlowState::default(),
+                valve: 0.43,
+                lung: 0.4,
+                leak: (0.0, 0.0),
+                rise: Some(RISE),
+            }
+        }
+
+        /// A breath that the sensor shows in its way, from the true flow, L/s; what is found.
+        fn breath(&mut self, sensor: impl Fn(f32) -> f32) -> Option<Fault> {
+            for tick in 0..TICKS.0 + TICKS.1 {
+                let inspires = tick < TICKS.0;
+                let (flow, valve) = if inspires {
+                    (self.lung + self.leak.0, self.valve + self.leak.0)
+                } else {
+                    (self.leak.1 - 0.5 * self.lung, self.leak.1 + 0.02)
+                };
+                let noise = 0.002 * ((tick * 7 % 5) as f32 - 2.0);
+                self.state.add(sensor(flow + noise), valve, inspires);
+            }
+            if let Some(rise) = self.rise {
+                self.state.rose(rise);
+            }
+            self.state.start_breath();
+            self.monitor.judge(&mut self.state, self.rise.is_none())
+        }
+
+        /// The number of breaths until the sensor is out of use, of at most 20.
+        fn lost_after(&mut self, sensor: impl Fn(f32) -> f32) -> Option<usize> {
+            (1..=20).find(|_| self.breath(&sensor) == Some(Fault::FlowSensorLost))
+        }
+
+        /// A run with some good breaths.
+        fn known() -> Self {
+            let mut run = Self::new();
+            (0..5).for_each(|_| assert_eq!(run.breath(|flow| flow), None));
+            run
+        }
+    }
+
+    /// Noise of a sensor at a constant, L/s, with the true flow's last digits.
+    fn noisy(constant: f32) -> impl Fn(f32) -> f32 {
+        move |flow| constant + 0.004 * ((flow.to_bits() % 64) as f32 / 32.0 - 1.0)
+    }
+
+    #[test]
+    fn a_reading_that_repeats_itself_for_a_breath_is_lost_at_once_at_any_value_but_zero() {
+        for constant in [0.02, 0.1, 0.3, -0.1] {
+            assert_eq!(Run::known().lost_after(|_| constant), Some(1), "{constant} L/s");
+            let mut occluded = Run { valve: 0.04, lung: 0.0, ..Run::known() };
+            assert_eq!(occluded.lost_after(|_| constant), Some(1), "{constant} L/s in an occluded tube");
+        }
+    }
+
+    #[test]
+    fn a_quiet_sensor_may_show_no_flow_in_an_occluded_tube_but_not_while_the_pressure_is_reached() {
+        let coarse = |flow: f32| 0.05 * (20.0 * flow + if flow < 0.0 { -0.5 } else { 0.5 }).trunc();
+        let mut run = Run::new();
+        (0..5).for_each(|_| assert_eq!(run.breath(coarse), None));
+        assert_eq!(Run { valve: 0.04, lung: 0.0, ..run }.lost_after(coarse), None);
+        assert_eq!(run.lost_after(|_| 0.0), Some(2));
+        let mut noisy = Run { valve: 0.04, lung: 0.0, ..Run::known() };
+        assert_eq!(noisy.lost_after(|_| 0.0), Some(1), "it had noise before");
+    }
+
+    #[test]
+    fn a_reading_that_stands_still_with_noise_is_lost_after_two_breaths() {
+        for constant in [0.0, 0.02, 0.1, 0.3, 0.43, -0.1] {
+            assert_eq!(Run::known().lost_after(noisy(constant)), Some(2), "{constant} L/s");
+            assert_eq!(Run::new().lost_after(noisy(constant)), Some(2), "{constant} L/s from the start");
+        }
+    }
+
+    #[test]
+    fn a_reversed_sensor_and_one_far_off_are_lost_after_two_breaths() {
+        for gain in [-1.0, 0.2, 0.4, 2.2, 4.0] {
+            assert_eq!(Run::known().lost_after(|flow| gain * flow), Some(2), "a gain of {gain}");
+        }
+        assert_eq!(Run::new().lost_after(|flow| -flow), Some(2), "from the start");
+        for offset in [-0.3, 0.3, 1.0] {
+            assert_eq!(Run::known().lost_after(|flow| flow + offset), Some(2), "{offset} L/s");
+        }
+    }
+
+    #[test]
+    fn more_gas_out_than_in_is_an_offset_after_five_breaths() {
+        assert_eq!(Run::known().lost_after(|flow| flow - 0.1), Some(5));
+        let mut run = Run::known();
+        // A lung that gives out what it had for a few breaths.
+        for gas in [0.4, 0.3, 0.2, 0.1, 0.0] {
+            assert_eq!(run.breath(|flow| if flow < 0.0 { flow - gas } else { flow }), None);
+        }
+    }
+
+    #[test]
+    fn more_gas_in_than_the_valve_gives_is_an_offset_whatever_the_lung() {
+        let mut small = Run { valve: 0.08, lung: 0.05, ..Run::new() };
+        (0..5).for_each(|_| assert_eq!(small.breath(|flow| flow), None));
+        assert_eq!(small.lost_after(|flow| flow + 0.3), Some(2));
+    }
+
+    #[test]
+    fn gains_and_offsets_of_working_sensors_are_none_of_its_business() {
+        for (gain, offset) in [(0.8, -0.05), (0.8, 0.05), (1.2, -0.05), (1.2, 0.05), (1.0, 0.0)] {
+            let sensor = |flow: f32| gain * flow + offset;
+            assert_eq!(Run::known().lost_after(sensor), None, "{gain}, {offset} L/s");
+            assert_eq!(Run::new().lost_after(sensor), None, "{gain}, {offset} L/s from the start");
+        }
+    }
+
+    #[test]
+    fn a_leak_is_gas_that_the_valve_gives() {
+        // 1 L/s at 30 cmH2O, at a PEEP of 5 and of 15.
+        for (leak, lung) in [((0.9, 0.4), 0.4), ((0.9, 0.7), 0.1), ((0.2, 0.1), 0.4)] {
+            let mut run = Run { lung, leak, ..Run::known() };
+            assert_eq!(run.lost_after(|flow| flow), None, "{leak:?} L/s");
+            assert_eq!(Run { lung, leak, ..Run::new() }.lost_after(|flow| flow), None, "from the start");
+        }
+    }
+
+    #[test]
+    fn a_newborns_machine_gives_a_fifth_of_the_models_gas() {
+        let mut run = Run { valve: 0.2, lung: 0.03, ..Run::new() };
+        assert_eq!(run.lost_after(|flow| flow), None);
+        assert_eq!(run.lost_after(|flow| 0.4 * flow), Some(2));
+    }
+
+    #[test]
+    fn another_lung_is_another_usual_volume() {
+        let mut run = Run { valve: 0.25, lung: 0.15, ..Run::known() };
+        (0..9).for_each(|_| assert_eq!(run.breath(|flow| flow), None));
+        assert_eq!(run.lost_after(|flow| 0.4 * flow), Some(2));
+    }
+
+    #[test]
+    fn a_single_breath_with_another_gas_makes_no_wrong_share_the_usual_one() {
+        for fault in [|flow: f32| 0.4 * flow, |flow: f32| flow + 0.3] {
+            let mut run = Run::known();
+            (run.lung, run.valve) = (0.2, 0.23);
+            run.breath(fault);
+            (run.lung, run.valve) = (0.4, 0.43);
+            assert!(run.lost_after(fault).is_some_and(|breaths| breaths <= 2));
+        }
+    }
+
+    #[test]
+    fn without_its_pressure_a_breath_tells_nothing_of_the_gas() {
+        let mut run = Run::known();
+        for tick in 0..3 * (TICKS.0 + TICKS.1) {
+            // The supply is lost: the valve is open, and nothing comes.
+            let (inspires, noise) = (tick % 300 < TICKS.0, 0.002 * ((tick * 7 % 5) as f32 - 2.0));
+            run.state.add(noise, if inspires { 1.6 } else { 0.0 }, inspires);
+            if tick % 300 == 299 {
+                run.state.start_breath();
+                assert_eq!(run.monitor.judge(&mut run.state, false), None);
+            }
+        }
+    }
+
+    #[test]
+    fn little_gas_tells_nothing() {
+        // 40 mL for the circuit, and 60 more tell.
+        for (valve, lost) in [(0.0999, None), (0.1001, Some(2))] {
+            let mut run = Run { valve, lung: 0.06, ..Run::new() };
+            assert_eq!(run.lost_after(|flow| -flow), lost, "{valve} L/s");
+        }
+    }
+
+    #[test]
+    fn a_lost_sensor_is_used_again_after_five_seconds_of_sound_breaths() {
+        let mut run = Run::known();
+        assert_eq!(run.lost_after(|_| 0.1), Some(1));
+        assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost));
+        assert!(run.state.is_doubtful());
+        assert_eq!((run.breath(|flow| flow), run.state.is_lost()), (None, false));
+        assert_eq!(run.lost_after(noisy(0.1)), Some(2));
+        run.breath(|flow| flow);
+        run.breath(noisy(0.1));
+        assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost), "5 s in a row");
+        assert_eq!(run.breath(|flow| flow), None);
+    }
+
+    #[test]
+    fn a_sensor_that_was_lost_by_its_gas_is_not_found_by_breaths_without_any() {
+        let mut run = Run::known();
+        assert_eq!(run.lost_after(noisy(0.1)), Some(2));
+        let mut occluded = Run { valve: 0.04, lung: 0.0, ..run };
+        for _ in 0..9 {
+            assert_eq!(occluded.breath(noisy(0.1)), Some(Fault::FlowSensorLost));
+        }
+    }
+
+    #[test]
+    fn without_a_pressure_gas_that_does_not_arrive_is_an_occlusion_and_one_that_never_stops_a_lost_sensor() {
+        let mut run = Run { rise: None, ..Run::known() };
+        assert_eq!([run.breath(|flow| flow), run.breath(noisy(0.0))], [None; 2]);
+        assert_eq!(run.breath(noisy(0.0)), Some(Fault::Occlusion));
+        assert_eq!([run.breath(noisy(0.0)), run.breath(|flow| flow)], [Some(Fault::Occlusion), None]);
+        assert_eq!(run.lost_after(noisy(0.3)), Some(2));
+        assert_eq!(Run { rise: None, ..Run::new() }.lost_after(noisy(0.0)), None, "nothing is usual yet");
+    }
+
+    #[test]
+    fn what_a_constant_shows_in_an_inspiration_has_not_reached_the_patient() {
+        let mut run = Run::known();
+        run.breath(|_| 0.3);
+        let reached = |run: &mut Run, flow: f32| {
+            (0..100).for_each(|_| run.state.add(flow, 0.0, true));
+            run.state.reached(0.01)
+        };
+        assert!(reached(&mut run, 0.3).abs() < 0.1);
+        let mut run = Run::known();
+        assert!((reached(&mut run, 0.4) - 400.0).abs() < 2.0);
+    }
+
+    #[test]
+    fn a_swing_has_no_offset_and_is_that_of_the_lung() {
+        let mut run = Run::new();
+        let mut swing = |sensor: &dyn Fn(f32) -> f32| {
+            run.breath(sensor);
+            run.monitor.swing(&run.state)
+        };
+        let found = [swing(&|flow| flow), swing(&|flow| flow + 0.5), swing(&|flow| -flow), swing(&|_| 0.3)];
+        let wanted = [400.0, 400.0, -400.0, 0.0];
+        assert!(found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < 1.0), "{found:?}");
+    }
+
+    #[test]
+    fn missing_readings_are_no_part_of_a_breath() {
+        let mut run = Run::known();
+        assert_eq!(run.lost_after(|_| f32::NAN), None, "another monitor finds that");
+        (0..3).for_each(|_| run.state.add(0.1, 0.0, true));
+        run.state.start_breath();
+        for tick in 0..300 {
+            run.state.add(if tick % 3 == 0 { f32::NAN } else { 0.1 }, 0.0, tick < 100);
+        }
+        run.state.start_breath();
+        assert!(run.state.last.is_frozen(false));
+        assert!((run.monitor.expiration(&run.state) - 2.0).abs() < 1e-4, "with and without a reading");
+    }
+
+    #[test]
+    fn without_its_alarm_the_sensor_is_always_used() {
+        let mut run = Run::known();
+        run.monitor = FlowMonitor::new(PERIOD_US, Monitors::ALL.without(Fault::FlowSensorLost));
+        assert_eq!((run.lost_after(|_| 0.1), run.state.is_lost()), (None, false));
+    }
+}
