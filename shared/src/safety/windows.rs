@@ -11,13 +11,15 @@ use crate::breath::Moment;
 pub struct Windows<const N: usize> {
     sums: [f32; N],
     count: u32,
+    /// Windows that follow the running one.
+    following: u32,
     last: Option<[f32; N]>,
     before: Option<[f32; N]>,
 }
 
 impl<const N: usize> Default for Windows<N> {
     fn default() -> Self {
-        Self { sums: [0.0; N], count: 0, last: None, before: None }
+        Self { sums: [0.0; N], count: 0, following: 0, last: None, before: None }
     }
 }
 
@@ -33,6 +35,11 @@ impl<const N: usize> Windows<N> {
         let belongs = left > 0 && (left <= length || !moment.inspires());
         if !belongs {
             return;
+        }
+        let following = (left - 1) / length;
+        if self.following != following {
+            // The end of the window before this one was not added: there was no reading.
+            (self.sums, self.count, self.following) = ([0.0; N], 0, following);
         }
         if let Some(values) = values {
             self.sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
@@ -80,6 +87,15 @@ mod tests {
     fn the_last_window_ends_when_the_next_breath_is_due() {
         let windows = until(&paper(), 3000, |tick| Some(tick as f32));
         assert_eq!((windows.last(), windows.before()), (Some([2974.5]), Some([2924.5])));
+    }
+
+    #[test]
+    fn a_window_whose_end_is_not_added_is_left_out() {
+        let (breath, mut windows) = (paper(), Windows::<1>::default());
+        for tick in (0..3000).filter(|tick| !(2940..2970).contains(tick)) {
+            windows.add(&breath.at(tick), LENGTH, Some([tick as f32]));
+        }
+        assert_eq!((windows.last(), windows.before()), (Some([2984.5]), Some([2874.5])));
     }
 
     #[test]
