@@ -18,9 +18,10 @@ pub const GAIN: (f32, f32) = (0.5, 2.0);
 /// The same share of the valve's model before there is a usual one: the valve of a newborn's machine gives a fifth of what the model
 /// says, and a low compliance leaves half of that in the circuit.
 const ANY_GAIN: (f32, f32) = (0.05, 3.0);
-/// Offset, L/s, and share of the usual volume by which the inspired volume may differ from it.
+/// Offset by which the inspired volume may differ from the usual one, L/s.
 pub const OFFSET: f32 = 0.1;
-const INEXACT: f32 = 0.2;
+/// Share of the usual volume by which it may differ beyond that.
+pub const INEXACT: f32 = 0.2;
 /// Share of the usual volume and swing by which those of a breath may differ that is learned from.
 const TYPICAL: f32 = 0.3;
 /// Flow that a breath may gain or lose without a leak, L/s: more is an offset.

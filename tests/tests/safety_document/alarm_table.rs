@@ -14,7 +14,7 @@ use shared::safety::source::{
 };
 use shared::safety::volumes::{self, MEASURED};
 use shared::safety::{
-    breath_monitor as breath, expiration, lung_estimator as lung, pressure_monitor as pressure,
+    breath_monitor as breath, expiration, flow_monitor, lung_estimator as lung, pressure_monitor as pressure,
 };
 use shared::safety::{reading_monitor as reading, standing, supervisor, volume_monitor as volume};
 
@@ -230,12 +230,15 @@ fn inspirations() -> Vec<Conditions> {
     let occlusion = format!(
         "in {} breaths in a row less than {} % of the volume per pressure rise of the last good breaths, \
          and less than {} % of the gas reaches the patient or comes out again; in {} breaths in a row if \
-         more does, but less than {} % comes out again",
+         more does, but less than {} % comes out again; in backup ventilation {} breaths with less than {} % \
+         of the usual inspired volume",
         breath::OCCLUDED_BREATHS,
         percent(breath::OCCLUDED),
         percent(breath::PASSES),
         breath::NARROWED_BREATHS,
-        percent(breath::OPEN)
+        percent(breath::OPEN),
+        flow_monitor::BLOCKED_BREATHS,
+        percent(flow_monitor::GETS_THROUGH)
     );
     let back = "the pressure of an inspiration is above PEEP again";
     vec![
@@ -311,14 +314,25 @@ fn gas() -> Vec<Conditions> {
         percent(volume::ONE_WAY)
     );
     let lost = format!(
-        "no number in more than {} % of a breath's flow readings; volumes and leaks are not monitored until \
-         it is back",
-        percent(1.0 - MEASURED)
+        "no number in more than {} % of a breath's flow readings; or the same reading throughout a breath, \
+         volumes in {} breaths in a row that the valve's gas contradicts, or more than {} L/s out than in for \
+         {} breaths; volumes and leaks are not monitored until it is back",
+        percent(1.0 - MEASURED),
+        number(flow_monitor::BELIED),
+        number(flow_monitor::NET),
+        number(flow_monitor::ONLY_OUT)
     );
     vec![
         (Fault::Leak, leak, GONE.to_owned()),
         (Fault::Apnoea, apnoea, "a breath of such a volume".to_owned()),
-        (Fault::FlowSensorLost, lost, "a breath with flow readings".to_owned()),
+        (
+            Fault::FlowSensorLost,
+            lost,
+            format!(
+                "a breath with flow readings; after wrong ones, {} s of sound breaths",
+                number(flow_monitor::SOUND)
+            ),
+        ),
     ]
 }
 

@@ -20,7 +20,9 @@ use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS};
 use shared::safety::source::{DOUBTFUL, TUBE};
 use shared::safety::supervisor::{EFFORT, RESIDUAL_SLEW};
-use shared::safety::{backup, breath_monitor, expected, expiration, lung_estimator, pressure_monitor};
+use shared::safety::{
+    backup, breath_monitor, expected, expiration, flow_monitor, lung_estimator, pressure_monitor,
+};
 use shared::settings::{LIMIT_MARGIN, Settings};
 use shared::timing::{LEASE_S, WATCHDOG_MAX_US, WATCHDOG_US};
 use shared::trigger;
@@ -134,6 +136,19 @@ fn sensors() -> Vec<Claim> {
         says("a stiff adult lung ({} mL/cmH2O)", [number(1000.0 * backup::STIFFEST)]),
         says("predicts a pressure within {} cmH2O of the limit", [number(LIMIT_MARGIN)]),
         says("never as less than {} % of what the model delivers", [percent(lung_estimator::LEAST_MEASURED)]),
+        says(
+            "has a gain below {} or above {} % of the usual one",
+            [percent(flow_monitor::GAIN.0), percent(flow_monitor::GAIN.1)],
+        ),
+        says(
+            "shows less than {} % of the usual volume in {} breaths in a row",
+            [percent(flow_monitor::GETS_THROUGH), number(flow_monitor::BLOCKED_BREATHS)],
+        ),
+        says(
+            "An offset of less than {} L/s and {} % of the inspired volume counts as a leak",
+            [number(flow_monitor::OFFSET), percent(flow_monitor::INEXACT)],
+        ),
+        says("little gas ({} mL of the valve's model", [number(flow_monitor::TELLING)]),
         says("holds it up (a command of at most {} %)", [number(expiration::BOUND)]),
         says("After a change of the settings {} breaths", [number(breath_monitor::UNCHECKED_BREATHS)]),
     ]

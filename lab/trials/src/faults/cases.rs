@@ -8,8 +8,9 @@ use super::hostile::CaseController::{self, Alternating, Greedy, Ringing, Sound};
 use super::injection::Damage;
 use super::injection::Injection::{
     self, BothLost, BothLostAndFlow, BothLostAndPart, BrownOut, CoughTrains, Coughs, Drift, Dropped,
-    FlowLost, Hang, HostSilent, MissedTicks, NewLung, NewTiming, Noise, NoisyAt, Offset, OtherHost,
-    OutletLost, OutletOffset, PowerCut, Reads, Reconnected, StuckAt, StuckAtLast, SwappedBytes, Weights,
+    FlowLost, FlowReads, FlowReadsAndPart, Hang, HostSilent, MissedTicks, NewLung, NewTiming, Noise, NoisyAt,
+    Offset, OtherHost, OutletLost, OutletOffset, PowerCut, Reads, Reconnected, StuckAt, StuckAtLast,
+    SwappedBytes, Weights,
 };
 use super::injection::POWERLESS_MS;
 use super::volume::VolumeLimits;
@@ -317,7 +318,7 @@ impl FaultCase {
 }
 
 /// Faults of the sensor.
-const SENSOR: [FaultCase; 22] = [
+const SENSOR: [FaultCase; 23] = [
     sensor("reading stuck at its last value", StuckAtLast, &[Fault::ReadingFrozen]),
     sensor("reading stuck at PEEP", StuckAt(5.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
     sensor("reading stuck at 0", StuckAt(0.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
@@ -360,15 +361,24 @@ const SENSOR: [FaultCase; 22] = [
         .with_minute_limits(0.7, 0.0)
         .watched(MINUTE_MS)
         .never(&[Fault::TidalVolumeLow, Fault::MinuteVolumeLow, Fault::Apnoea]),
+    case("flow sensor stuck at 0.1 L/s", FlowReads(0.1), &[Fault::FlowSensorLost]).quietly(),
 ];
 
 /// Faults of machine and breathing circuit.
-const MACHINE: [FaultCase; 17] = [
+const MACHINE: [FaultCase; 18] = [
     part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS).not_ventilated(),
     part("tube occluded for half a minute", Failure::TubeOccluded, &[Fault::Apnoea])
         .at(BEFORE_MS)
         .watched(APNOEA_MS)
         .not_ventilated(),
+    // What stands still must not pass for breaths.
+    case(
+        "tube occluded, flow sensor stuck at 0.1 L/s",
+        FlowReadsAndPart(0.1, Failure::TubeOccluded),
+        &[Fault::Occlusion, Fault::FlowSensorLost],
+    )
+    .at(BEFORE_MS)
+    .not_ventilated(),
     stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]).not_ventilated(),
     part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]).not_ventilated(),
     // Full ventilation within one breath of the reconnection.

@@ -51,6 +51,10 @@ pub enum Injection {
     BothLost,
     /// The flow sensor gives no number.
     FlowLost,
+    /// The flow sensor gives this number, L/s.
+    FlowReads(f32),
+    /// The same, and a part of the machine fails.
+    FlowReadsAndPart(f32, Failure),
     /// Neither pressure sensor gives a number, and the flow sensor gives this one, L/s.
     BothLostAndFlow(f32),
     /// Neither pressure sensor gives a number, and a part of the machine fails.
@@ -121,6 +125,9 @@ impl SensorFault {
             }
             Injection::BothLostAndFlow(flow) => Readings { airway: none, outlet: none, flow },
             Injection::FlowLost => Readings { flow: none, ..readings },
+            Injection::FlowReads(flow) | Injection::FlowReadsAndPart(flow, _) => {
+                Readings { flow, ..readings }
+            }
             _ => Readings { airway: self.reading(readings.airway), ..readings },
         }
     }

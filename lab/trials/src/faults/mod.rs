@@ -1,5 +1,7 @@
 //! Faults on the virtual bench: does the right monitor fire in time, and does the true pressure stay within its bound?
 
+#[cfg(test)]
+mod backup_tests;
 pub mod cases;
 pub mod draw;
 #[cfg(test)]

@@ -189,7 +189,12 @@ impl Run<'_> {
     fn inject(&mut self, since: u32) {
         let bench = &mut self.device.rig.plant.bench;
         match (self.trial.injection, since) {
-            (Injection::Part(failure) | Injection::BothLostAndPart(failure), 0) => bench.fail(failure),
+            (
+                Injection::Part(failure)
+                | Injection::BothLostAndPart(failure)
+                | Injection::FlowReadsAndPart(_, failure),
+                0,
+            ) => bench.fail(failure),
             (Injection::HostSilent, 0) => self.device.host_speaks = false,
             (Injection::OtherHost, 0) => self.outcome.refused = self.device.other_host(),
             (Injection::Reconnected(_), 0) => bench.fail(Failure::Disconnected),
