@@ -15,7 +15,7 @@ use shared::control::residual::{Residual, ResidualSpec};
 use shared::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use shared::device::control::Control;
 use shared::device::prescription::{Prescription, PrescriptionMemory};
-use shared::device::{ControlReport, ControlRequest, KNOWN_GOOD};
+use shared::device::{ControlReport, ControlRequest, HostRole, KNOWN_GOOD};
 use shared::explore::Exploration;
 use shared::link::frame::{FRAME_BYTES, encode_frame};
 use shared::link::messages::{ControllerChoice, DeviceKind, Event, ToHost};
@@ -327,8 +327,7 @@ fn tick(
     });
     prescription.keep(control, &output);
     if let Some(request) = request {
-        prescription.requested(&request);
-        black_box(control.execute(&request));
+        black_box(prescription.execute(control, &request, HostRole::Steers));
     }
     recorder.record(&control.moment(readings.airway, &output, black_box(0)));
     control.record(black_box(&TickTime { latency: 20, work: 5000, period: Some(168_000), missed: 0 }));

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod accuracy;
+pub mod draw;
 pub mod endure;
 pub mod faults;
 pub mod robust;

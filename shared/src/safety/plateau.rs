@@ -6,9 +6,12 @@
 //! wrong.
 
 use super::monitors::in_a_row;
-use super::source::{DOUBTFUL, TUBE};
 use crate::breath::Moment;
 
+/// Difference at the end of a phase above which one of the sensors is wrong, cmH2O.
+pub const DOUBTFUL: f32 = 2.0;
+/// Highest resistance of the tube between them, cmH2O/(L/s): a flow that compensates a leak drops pressure in it.
+pub const TUBE: f32 = 4.0;
 /// Share of the pressure by which sound sensors may differ besides: their gains are not exact.
 pub const GAIN: f32 = 0.05;
 /// Inspirations in a row with a larger difference after which the worse sensor is not used.

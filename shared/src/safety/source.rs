@@ -11,7 +11,7 @@
 use super::alarms::Fault;
 use super::expected::Expected;
 use super::monitors::{Monitors, in_a_row, ticks};
-use super::plateau::{Judgement, Plateau};
+use super::plateau::{DOUBTFUL, Judgement, Plateau, TUBE};
 use super::reading_monitor::{Believed, ReadingMonitor, ReadingState};
 use super::responses::Response;
 use super::windows::Windows;
@@ -23,10 +23,6 @@ use crate::sensor::Readings;
 pub const FAR_APART: f32 = 10.0;
 /// Time for which they may be further apart, s.
 pub const APART: f32 = 0.02;
-/// Difference at the end of an expiration above which one of them is wrong, cmH2O.
-pub const DOUBTFUL: f32 = 2.0;
-/// Highest resistance of the tube between them, cmH2O/(L/s): a flow that compensates a leak drops pressure in it.
-pub const TUBE: f32 = 4.0;
 /// Expirations in a row with such a difference after which the worse sensor is not used.
 pub const DOUBTFUL_BREATHS: u32 = 2;
 /// Difference at the end of an expiration up to which they agree again, cmH2O.

@@ -8,10 +8,8 @@ use shared::safety::alarms::{ALARMS, Fault};
 use shared::safety::expected::{ABOVE, AWAY};
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES};
-use shared::safety::plateau::{self, APART_BREATHS};
-use shared::safety::source::{
-    AGREE, AGREED_BREATHS, APART, DOUBTFUL, DOUBTFUL_BREATHS, FAR_APART, MOVED, SOUND_AGAIN,
-};
+use shared::safety::plateau::{self, APART_BREATHS, DOUBTFUL};
+use shared::safety::source::{AGREE, AGREED_BREATHS, APART, DOUBTFUL_BREATHS, FAR_APART, MOVED, SOUND_AGAIN};
 use shared::safety::volumes::{self, MEASURED};
 use shared::safety::{
     breath_monitor as breath, expiration, flow_monitor, lung_estimator as lung, pressure_monitor as pressure,

@@ -18,7 +18,7 @@ use shared::recorder::LOG_INTERVAL;
 use shared::recorder::keeper::Keeper;
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS};
-use shared::safety::source::{DOUBTFUL, TUBE};
+use shared::safety::plateau::{DOUBTFUL, TUBE};
 use shared::safety::supervisor::{EFFORT, RESIDUAL_SLEW};
 use shared::safety::{
     backup, breath_monitor, expected, expiration, flow_monitor, lung_estimator, pressure_monitor,

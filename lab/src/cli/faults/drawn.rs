@@ -10,10 +10,10 @@ use campaign::Campaign;
 use host::args::shards::ShardFolderArgs;
 use host::command::Context;
 use show::report::{Cell, Table};
-use trials::faults::draw::case::Case;
-use trials::faults::draw::promise::{Promise, broken};
-use trials::faults::draw::shrink::shrink;
-use trials::faults::draw::tally::{Drawn, Tally};
+use trials::draw::case::Case;
+use trials::draw::promise::{Promise, broken};
+use trials::draw::shrink::shrink;
+use trials::draw::tally::{Drawn, Tally};
 use trials::faults::parts::Part;
 
 /// Classes of failures that the table shows.
@@ -187,7 +187,7 @@ fn classes(tally: &Tally) -> Table {
 }
 
 /// The classes of failures, the largest first.
-fn ordered(tally: &Tally) -> impl Iterator<Item = (Promise, &String, &trials::faults::draw::tally::Class)> {
+fn ordered(tally: &Tally) -> impl Iterator<Item = (Promise, &String, &trials::draw::tally::Class)> {
     let mut classes: Vec<_> = tally
         .broken
         .iter()

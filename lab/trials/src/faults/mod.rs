@@ -3,7 +3,6 @@
 #[cfg(test)]
 mod backup_tests;
 pub mod cases;
-pub mod draw;
 #[cfg(test)]
 mod frozen_tests;
 pub(crate) mod hostile;
