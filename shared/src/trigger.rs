@@ -4,10 +4,14 @@
 //! flow, while the open expiratory valve holds the pressure. Either signal can start the breath. In an expiration both have
 //! trends of their own, and sensors have offsets. So the mean over the latest 10 ms is compared with a line through the
 //! means before it. A passive lung empties ever more slowly, and leaves that line on the other side.
+//!
+//! Readings that are missing for a moment are replaced by the last one: a line takes longer to draw than most gaps take to
+//! return. A step of a coarse sensor is no effort. A leak can look like one; who measures the gas decides that.
 
-use crate::breath::Moment;
+use crate::breath::{Moment, Phase};
 use crate::math;
 use crate::safety::monitors::ticks;
+use crate::safety::reading_monitor::MISSING;
 
 /// Time over which a signal is averaged, s.
 pub const BLOCK: f32 = 0.01;
@@ -30,6 +34,13 @@ const ON_LINE: f32 = 0.5;
 /// Part of the sensitivity by which the signal itself must have risen within [`GAP`]: the end of an earlier effort or cough bends
 /// the line, and leaves the signal where it is.
 const RISE: f32 = 0.5;
+/// Multiple of a sensor's step that is no effort: a slow change shows as steps, and the line through them is off by one more.
+const STEPS: f32 = 2.0;
+/// Time for which the last value stands for missing ones, s: as long as a pressure sensor counts as sound without readings, so that
+/// no line goes on with another sensor.
+const HELD: f32 = MISSING;
+/// Bias of the inspiratory valve whose flow is less than an effort, percent.
+const LITTLE_BIAS: f32 = 6.0;
 /// Litres per second in a litre per minute.
 const PER_MINUTE: f32 = 1.0 / 60.0;
 
@@ -42,6 +53,17 @@ pub struct Trigger {
     block: u32,
     noises: f32,
     noise: f32,
+    /// [`HELD`] in ticks.
+    held: u32,
+}
+
+/// The signal in which an effort shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sign {
+    /// The pressure has fallen.
+    Pressure,
+    /// The flow towards the patient has risen.
+    Flow,
 }
 
 /// State in an expiration.
@@ -49,6 +71,8 @@ pub struct Trigger {
 pub struct TriggerState {
     pressure: Signal,
     flow: Signal,
+    /// Whether the fall from PIP has ended.
+    expires: bool,
 }
 
 /// A signal that rises with an effort.
@@ -63,12 +87,39 @@ struct Signal {
     /// Mean distance of the values from the last block.
     noise: f32,
     on_line: bool,
+    /// Last value, the ticks since, and the smallest change from value to value: the sensor's step.
+    last: f32,
+    missing: u32,
+    step: f32,
 }
 
 impl Signal {
     /// Forgets all values. The means stay in memory, out of use.
     fn restart(&mut self) {
         (self.sum, self.count, self.blocks, self.noise, self.on_line) = (0.0, 0, 0, 0.0, false);
+        (self.last, self.missing, self.step) = (f32::NAN, 0, f32::INFINITY);
+    }
+
+    /// Draws a new line after a change of its own.
+    fn redraw(&mut self) {
+        let Self { blocks, last, missing, step, .. } = *self;
+        self.restart();
+        (self.blocks, self.last, self.missing, self.step) = (blocks.min(OPENING), last, missing, step);
+    }
+
+    /// The value that counts in a tick: in place of a missing one the last one, for some ticks.
+    fn hold(&mut self, value: f32, held: u32) -> f32 {
+        if value.is_nan() {
+            self.missing += 1;
+            return if self.missing <= held { self.last } else { f32::NAN };
+        }
+        let change = (value - self.last).abs();
+        // A first value has none before it.
+        if change > 0.0 && change < self.step {
+            self.step = change;
+        }
+        (self.last, self.missing) = (value, 0);
+        value
     }
 
     /// Mean of the block that ended `ago` blocks before the last one.
@@ -97,28 +148,42 @@ impl Trigger {
     pub fn new(period_us: u32) -> Self {
         let noise = math::lag_factor(NOISE_TIME, crate::breath::period_s(period_us));
         let block = ticks(BLOCK, period_us);
-        Self { block, noises: NOISES / math::square_root(block as f32), noise }
+        Self {
+            block,
+            noises: NOISES / math::square_root(block as f32),
+            noise,
+            held: ticks(HELD, period_us) - 1,
+        }
     }
 
-    /// Whether the patient starts to inhale in this tick of a breath, after the inspiration. `pressure` is a reliable
+    /// The sign that the patient starts to inhale in this tick of a breath, after the inspiration. `pressure` is a reliable
     /// reading, cmH2O, and `flow` that of the flow sensor towards the patient, L/s; NaN where there is none.
     #[inline]
-    pub fn check(&self, state: &mut TriggerState, moment: &Moment, pressure: f32, flow: f32) -> bool {
+    pub fn check(&self, state: &mut TriggerState, moment: &Moment, pressure: f32, flow: f32) -> Option<Sign> {
         if moment.inspires() {
             if moment.tick == 0 {
                 state.pressure.restart();
                 state.flow.restart();
             }
-            return false;
+            state.expires = false;
+            return None;
         }
         let settings = moment.settings();
+        let expires = moment.phase == Phase::Expiration;
+        // The inspiratory valve opens to its bias.
+        if expires && !state.expires && settings.expiratory_bias > LITTLE_BIAS {
+            state.flow.redraw();
+        }
+        state.expires = expires;
         let by_pressure = self.follow(&mut state.pressure, -pressure, settings.trigger_pressure);
         let by_flow = self.follow(&mut state.flow, flow, settings.trigger_flow * PER_MINUTE);
-        by_pressure || by_flow
+        // A fall of the pressure is the sign that a leak explains too.
+        by_pressure.then_some(Sign::Pressure).or(by_flow.then_some(Sign::Flow))
     }
 
     /// Whether a signal leaves its line upwards by more than the sensitivity; a sensitivity of zero is off.
     fn follow(self, signal: &mut Signal, value: f32, sensitivity: f32) -> bool {
+        let value = signal.hold(value, self.held);
         if value.is_nan() || sensitivity <= 0.0 {
             signal.restart();
             return false;
@@ -135,7 +200,7 @@ impl Trigger {
         signal.means[signal.blocks % KEPT] = signal.sum / signal.count as f32;
         (signal.blocks, signal.sum, signal.count) = (signal.blocks + 1, 0.0, 0);
         let Some(deviation) = signal.deviation() else { return false };
-        let bound = sensitivity.max(self.noises * signal.noise);
+        let bound = sensitivity.max(self.noises * signal.noise).max(STEPS * signal.step);
         signal.on_line |= deviation < ON_LINE * bound;
         let rise = signal.mean(0) - signal.mean(GAP);
         debug_assert!(signal.blocks > OPENING + GAP + LINE.0, "no line without its blocks");
@@ -146,7 +211,7 @@ impl Trigger {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::breath::{Breath, DEFAULT_PERIOD_US, Phase, paper_settings};
+    use crate::breath::{Breath, DEFAULT_PERIOD_US, paper_settings};
     use crate::settings::Settings;
     use proptest::prelude::*;
 
@@ -163,11 +228,26 @@ mod tests {
 
     /// The first tick of the paper's breath at which an effort is found, by pressure and flow at each tick.
     fn found(breath: &Breath, signals: impl Fn(u32) -> (f32, f32)) -> Option<u32> {
+        found_coarse(breath, |tick| {
+            let (pressure, flow) = signals(tick);
+            // The least step of a fine sensor.
+            let dither = if tick.is_multiple_of(2) { 0.0 } else { 1.0 / 1024.0 };
+            (pressure + dither, flow + dither)
+        })
+    }
+
+    /// The same for sensors without steps between these signals.
+    fn found_coarse(breath: &Breath, signals: impl Fn(u32) -> (f32, f32)) -> Option<u32> {
         let (trigger, mut state) = (Trigger::new(DEFAULT_PERIOD_US), TriggerState::default());
         (0..breath.total_ticks()).find(|tick| {
             let (pressure, flow) = signals(*tick);
-            trigger.check(&mut state, &breath.at(*tick), pressure, flow)
+            trigger.check(&mut state, &breath.at(*tick), pressure, flow).is_some()
         })
+    }
+
+    /// A value in steps of a coarse sensor.
+    fn in_steps(value: f32, step: f32) -> f32 {
+        (value / step + 0.5).floor() * step
     }
 
     /// The fall of the pressure by an effort of 3 cmH2O that begins at a tick and lasts 1 s.
@@ -343,26 +423,104 @@ mod tests {
                 let (pressure, flow) = (PEEP + noise(tick, 0.2), noise(tick + 7, 0.01));
                 let found =
                     trigger.check(&mut state, &breath.at(tick % breath.total_ticks()), pressure, flow);
-                assert!(!found, "{period_us} us, tick {tick}");
+                assert_eq!(found, None, "{period_us} us, tick {tick}");
             }
         }
     }
 
+    /// A gap in readings, at each tick.
+    type Gap = fn(u32) -> bool;
+
     #[test]
-    fn after_a_missing_reading_a_line_is_drawn_first() {
-        let signals = |tick| (if tick == 1950 { f32::NAN } else { PEEP - effort(tick, 2000) }, f32::NAN);
-        let at = found(&breath(0.4, 0.0), signals);
-        assert!(at.is_none_or(|at| at >= 1951 + 369), "{at:?}");
-        let step = |tick| {
-            if tick == 1950 {
-                f32::NAN
-            } else if tick < 2301 {
-                PEEP
-            } else {
-                PEEP - 3.0
-            }
+    fn single_missing_readings_and_short_gaps_hide_no_effort() {
+        let gaps: [Gap; 4] = [
+            |_| false,
+            |tick| tick.is_multiple_of(400),
+            |tick| tick.is_multiple_of(100),
+            |tick| tick % 50 < 4,
+        ];
+        for gap in gaps {
+            let missing = |tick, value: f32| if gap(tick) { f32::NAN } else { value };
+            let by_pressure = |tick| (missing(tick, PEEP - effort(tick, 2000) + noise(tick, 0.1)), f32::NAN);
+            assert!(found(&breath(0.4, 0.0), by_pressure).is_some_and(|at| (2000..2100).contains(&at)));
+            let by_flow = |tick| (PEEP, missing(tick, effort(tick, 2000) / 20.0 + noise(tick, 0.003)));
+            assert!(found(&breath(0.0, 0.6), by_flow).is_some_and(|at| (2000..2100).contains(&at)));
+        }
+    }
+
+    #[test]
+    fn a_value_that_stands_for_missing_ones_is_no_effort() {
+        // The lung empties fast at first: the flow rises by 2 L/s in a second.
+        for time_constant in [60.0, 250.0, 1000.0] {
+            let share = |tick: u32| (-(tick.saturating_sub(EXPIRES) as f32) / time_constant).exp();
+            let signals = |tick| {
+                let missing = if tick % 50 < 4 { f32::NAN } else { 0.0 };
+                (PEEP + 15.0 * share(tick) + missing, -1.5 * share(tick) + missing)
+            };
+            assert_eq!(found(&breath(0.2, 0.5), signals), None, "{time_constant} ms");
+        }
+    }
+
+    #[test]
+    fn after_a_longer_gap_a_line_is_drawn_first() {
+        // A reading that returns after so long may be that of another sensor.
+        let after = |gap: u32| {
+            let step = |tick| match tick {
+                1950.. if tick < 1950 + gap => f32::NAN,
+                ..2250 => PEEP,
+                _ => PEEP - 3.0,
+            };
+            found(&breath(0.4, 0.0), |tick| (step(tick), f32::NAN))
         };
-        assert_eq!(found(&breath(0.4, 0.0), |tick| (step(tick), f32::NAN)), None, "no line yet to leave");
+        assert_eq!((after(4), after(5)), (Some(2259), None), "no line yet to leave");
+    }
+
+    #[test]
+    fn a_step_of_a_coarse_sensor_is_no_effort_and_a_real_one_is_found_in_its_steps() {
+        for step in [0.3, 0.5, 1.0, 2.0] {
+            for time_constant in [100.0, 250.0, 400.0, 1000.0, 2500.0] {
+                let empties = |tick: u32| {
+                    let share = (-(tick.saturating_sub(EXPIRES) as f32) / time_constant).exp();
+                    (in_steps(PEEP + 0.1 + 15.0 * share, step), in_steps(-60.0 * share, step) / 60.0)
+                };
+                assert_eq!(found_coarse(&breath(0.4, 0.6), empties), None, "{step}, {time_constant} ms");
+            }
+        }
+        for step in [0.3, 0.5, 0.7] {
+            let inhales = |tick| (in_steps(PEEP + 0.1 - 2.0 * effort(tick, 2000), step), f32::NAN);
+            let at = found_coarse(&breath(0.4, 0.0), inhales);
+            assert!(at.is_some_and(|at| (2000..2400).contains(&at)), "{step}: {at:?}");
+        }
+    }
+
+    #[test]
+    fn the_flow_of_a_valve_that_opens_to_its_bias_is_no_effort() {
+        let at = |bias: f32, begins: u32| {
+            let settings = Settings { expiratory_bias: bias, ..*breath(0.0, 0.6).settings() };
+            let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
+            let flow = |tick: u32| {
+                let opens = if breath.phase(tick) == Phase::Expiration { 0.002 * bias } else { 0.0 };
+                opens + effort(tick, begins) / 20.0
+            };
+            found(&breath, |tick| (PEEP, flow(tick)))
+        };
+        assert_eq!(at(20.0, 5000), None);
+        assert!(at(20.0, 2000).is_some_and(|at| (2000..2100).contains(&at)), "the line is drawn again");
+        assert!(at(5.0, 1550).is_some_and(|at| at < 1650), "the usual bias takes no time");
+    }
+
+    #[test]
+    fn a_fall_of_the_pressure_is_the_sign_where_both_show_an_effort() {
+        let sign = |by_pressure: f32, by_flow: f32| {
+            let (trigger, mut state) = (Trigger::new(DEFAULT_PERIOD_US), TriggerState::default());
+            let breath = breath(by_pressure, by_flow);
+            (0..breath.total_ticks()).find_map(|tick| {
+                let (effort, dither) = (effort(tick, 2000), noise(tick, 0.001));
+                trigger.check(&mut state, &breath.at(tick), PEEP - effort + dither, effort + dither)
+            })
+        };
+        assert_eq!((sign(0.4, 0.0), sign(0.0, 0.6)), (Some(Sign::Pressure), Some(Sign::Flow)));
+        assert_eq!(sign(0.4, 20.0), Some(Sign::Pressure));
     }
 
     #[test]
@@ -370,7 +528,8 @@ mod tests {
         let (trigger, breath) = (Trigger::new(DEFAULT_PERIOD_US), breath(0.4, 0.6));
         let mut state = TriggerState::default();
         let mut breathe = |pressure: f32| {
-            (0..breath.total_ticks()).any(|tick| trigger.check(&mut state, &breath.at(tick), pressure, 0.0))
+            (0..breath.total_ticks())
+                .any(|tick| trigger.check(&mut state, &breath.at(tick), pressure, 0.0).is_some())
         };
         assert!(!breathe(20.0) && !breathe(PEEP), "a new PEEP is no effort");
         for signal in [state.pressure, state.flow] {
@@ -390,7 +549,7 @@ mod tests {
             for tick in 0..breath.total_ticks().min(5000) {
                 let (pressure, flow) = readings[tick as usize % readings.len()];
                 let found = trigger.check(&mut state, &breath.at(tick), pressure, flow);
-                prop_assert!(!found || breath.phase(tick) != Phase::Inspiration);
+                prop_assert!(found.is_none() || breath.phase(tick) != Phase::Inspiration);
             }
         }
     }

@@ -9,7 +9,7 @@
 //! # Breath
 //! Settings sent while ventilating take effect when the next breath starts. The controller runs during the
 //! inspiration; in fall and expiration the expiratory valve is open, the mechanical PEEP valve holds PEEP, and the
-//! inspiratory valve is closed (fall) or at its bias (expiration), which rises if a leak lets the pressure fall below PEEP.
+//! inspiratory valve is closed (fall) or at its bias (expiration). A flow that makes up for a leak is added to the bias, in the fall too.
 //!
 //! # Order of a tick
 //! The supervisor checks the readings -> controller -> exploration -> safety filter -> the controller records the
@@ -19,7 +19,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::breath::{Breath, Moment, Phase};
+use crate::breath::{Breath, Phase};
 use crate::control::memory::{self, Lesson};
 use crate::control::pid::{Pid, PidState};
 use crate::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
@@ -32,7 +32,7 @@ use crate::safety::monitors::Monitors;
 use crate::safety::supervisor::{Belief, Supervisor, SupervisorState};
 use crate::sensor::Readings;
 use crate::settings::{Settings, SettingsError};
-use crate::trigger::{Trigger, TriggerState};
+use crate::trigger::{Sign, Trigger, TriggerState};
 
 /// Breaths at the start that follow the clock alone: a leak is not known yet, and its sag looks like an effort.
 const FIRST_BREATHS: u32 = 1;
@@ -289,17 +289,20 @@ impl<C: ControlLaw> Ventilator<C> {
     ) -> (ValveCommand, Option<Sample>) {
         let moment = &belief.moment;
         let settings = moment.settings();
-        let effort = self.trigger.check(&mut state.trigger, moment, belief.effort, belief.flow);
+        let sign = self.trigger.check(&mut state.trigger, moment, belief.effort, belief.flow);
         let (phase, target) = match moment.phase {
             // An inspiration that has reached the pressure limit has ended.
             Phase::Inspiration if belief.cut => (Phase::Fall, settings.peep),
             Phase::Inspiration => (Phase::Inspiration, moment.target() + belief.pip_shift),
             phase => (phase, moment.target()),
         };
+        let open = settings.expiratory_bias + belief.compensation;
         let Command { output, explore, learned } = match phase {
             Phase::Inspiration => self.inspire(state, belief, target),
-            Phase::Fall => Command::plain(belief.compensation),
-            Phase::Expiration => Command::plain(settings.expiratory_bias + belief.compensation),
+            // Flow that makes up for a leak does not rise within the expiration: that would look like an effort.
+            Phase::Fall if belief.compensation > 0.0 => Command::plain(open),
+            Phase::Fall => Command::plain(0.0),
+            Phase::Expiration => Command::plain(open),
         };
         let u_out = phase != Phase::Inspiration;
         let command = self.supervisor.command(&mut state.supervisor, belief, output, u_out);
@@ -321,7 +324,7 @@ impl<C: ControlLaw> Ventilator<C> {
             learned,
             flow: (!readings.flow.is_nan()).then_some(readings.flow),
         };
-        self.end_tick(state, moment, effort);
+        self.end_tick(state, belief, sign);
         (command, Some(sample))
     }
 
@@ -339,10 +342,11 @@ impl<C: ControlLaw> Ventilator<C> {
     }
 
     /// Ends a tick of a breath.
-    fn end_tick(&self, state: &mut VentilatorState<C::State>, moment: &Moment, effort: bool) {
-        let effort = effort && state.number >= FIRST_BREATHS;
+    fn end_tick(&self, state: &mut VentilatorState<C::State>, belief: &Belief, sign: Option<Sign>) {
+        let sign = sign.filter(|_| state.number >= FIRST_BREATHS);
+        let effort = sign.is_some_and(|sign| !state.supervisor.leak_explains(sign, belief));
         state.tick += 1;
-        if self.supervisor.end_tick(&mut state.supervisor, moment, effort) {
+        if self.supervisor.end_tick(&mut state.supervisor, &belief.moment, effort) {
             state.tick = 0;
             state.number = state.number.wrapping_add(1);
         }

@@ -16,6 +16,22 @@ pub const REACHED: f32 = 0.3;
 pub const WIDE_OPEN: f32 = 60.0;
 /// Fraction of PEEP below which the airway is open; an effort rarely pulls the pressure so low.
 pub const OPEN_END: f32 = 0.4;
+/// Pressure up to which a tube may be open at any PEEP, cmH2O: what its end holds back from a full flow, and a sensor's offset. Gas
+/// that does not come back proves it.
+pub const ROOM: f32 = 1.5;
+/// Lowest pressure of an open tube, cmH2O: an effort pulls a closed one lower.
+const LOWEST_OPEN: f32 = -2.0;
+/// Share of the gas that has gone in of which less comes back from an open tube.
+pub const COMES_BACK: f32 = 0.2;
+/// Gas, mL, that seems to come back besides because of the flow sensor's noise.
+const NOISE: f32 = 12.0;
+/// Smallest gas of which that can be told, mL, and the time at the end of its inspiration at such a pressure, s.
+const TELLING_GAS: f32 = 20.0;
+const OPEN_FOR: f32 = 0.04;
+/// Time after an inspiration in which gas comes back, s: longer than an effort that keeps it.
+pub const RETURNS: f32 = 2.0;
+/// Pressure above which an airway is closed again, at a lower PEEP, cmH2O.
+pub const CLOSED: f32 = 2.5;
 /// Command above which the pressure of a connected airway must rise, percent.
 pub const FILLING: f32 = 30.0;
 /// Fraction of the earlier compliance below which the tube counts as occluded.
@@ -65,6 +81,11 @@ pub struct BreathMonitor {
     disconnected: u32,
     slow_disconnected: u32,
     connected: u32,
+    /// [`OPEN_FOR`] and [`RETURNS`] in ticks.
+    open_for: u32,
+    returns: u32,
+    /// Whether a disconnection is a finding.
+    finds_open: bool,
     /// Consecutive breaths with a condition that make it a fault.
     high: u32,
     above: u32,
@@ -81,6 +102,8 @@ pub struct BreathState {
     /// Pressure in the windows of the expiration.
     rest: Windows<1>,
     gone: u32,
+    /// Ticks at the end of the inspiration in which the tube may have been open.
+    open: u32,
     /// Whether the patient is disconnected, and the ticks for which the pressure has been back.
     disconnected: bool,
     back: u32,
@@ -110,8 +133,8 @@ impl BreathState {
     /// The settings have changed: the next breaths are not comparable with those before, and are not checked. An open airway stays
     /// open.
     pub fn settings_changed(&mut self) {
-        let Self { gone, disconnected, back, .. } = *self;
-        *self = Self { gone, disconnected, back, unchecked: UNCHECKED_BREATHS, ..Self::default() };
+        let Self { gone, open, disconnected, back, .. } = *self;
+        *self = Self { gone, open, disconnected, back, unchecked: UNCHECKED_BREATHS, ..Self::default() };
     }
 
     /// Ends a breath of these volumes. An effort may take in the gas only in the expiration.
@@ -126,6 +149,11 @@ impl BreathState {
     /// The lower volume per pressure of the last two good breaths, mL/cmH2O.
     fn compliance(&self) -> Option<f32> {
         self.compliances.into_iter().flatten().reduce(f32::min)
+    }
+
+    /// The inspiration ends because its gas may flow out of an open tube: the expiration shows whether it does.
+    pub fn doubt(&mut self) {
+        self.open = u32::MAX;
     }
 
     /// Whether the airway is open, by the running inspiration.
@@ -151,6 +179,8 @@ pub struct BreathInput<'a> {
     pub volume: f32,
     /// Volume that has reached the patient so far, mL; none if the flow is not measured.
     pub reached: Option<f32>,
+    /// Volume that has come back from the patient so far, mL.
+    pub returned: f32,
     /// Whether a part of it is lost through a leak.
     pub leaks: bool,
     /// Volumes that went in and came out in the last breath, mL; none if the flow was not measured.
@@ -177,6 +207,16 @@ impl Mean {
     }
 }
 
+/// Pressure below which an airway is open at this PEEP, cmH2O.
+fn open_end(peep: f32) -> f32 {
+    (peep - BELOW_PEEP).min(OPEN_END * peep)
+}
+
+/// Whether a tube with gas that flows in may be open at this pressure and PEEP, cmH2O; only the gas that comes back tells.
+pub fn may_be_open(pressure: f32, peep: f32) -> bool {
+    pressure > LOWEST_OPEN && pressure < open_end(peep).max(ROOM)
+}
+
 impl BreathMonitor {
     /// A monitor for a control period in microseconds that reports the enabled findings only.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
@@ -185,6 +225,9 @@ impl BreathMonitor {
             disconnected: enabled.limit(Fault::Disconnection, ticks(DISCONNECTED, period_us)),
             slow_disconnected: enabled.limit(Fault::Disconnection, ticks(SLOW_DISCONNECTED, period_us)),
             connected: ticks(CONNECTED, period_us),
+            open_for: ticks(OPEN_FOR, period_us),
+            returns: ticks(RETURNS, period_us),
+            finds_open: enabled.has(Fault::Disconnection),
             high: enabled.limit(Fault::BaselineHigh, HIGH_BREATHS),
             above: enabled.limit(Fault::BaselineHigh, TRAPPED_BREATHS),
             low: enabled.limit(Fault::BaselineLow, LOW_BREATHS),
@@ -212,13 +255,18 @@ impl BreathMonitor {
         }
         let (peep, inspires) = (moment.settings().peep, moment.inspires());
         let left = if inspires { moment.breath.inspiration_ticks() - moment.tick } else { moment.left() };
-        let open_end = pressure < (peep - BELOW_PEEP).min(OPEN_END * peep);
         if inspires && !cut {
             let gone = state.gone.saturating_add(u32::from(command > FILLING));
-            state.gone = if open_end { gone } else { 0 };
+            state.gone = if pressure > LOWEST_OPEN && pressure < open_end(peep) { gone } else { 0 };
+            if left <= self.open_for {
+                state.open = in_a_row(state.open, may_be_open(pressure, peep));
+            }
+        } else if !inspires && (left == 1 || moment.tick == moment.breath.inspiration_ticks() + self.returns)
+        {
+            state.disconnected |= self.finds_open && self.loses_all(state, input);
         }
         let longest = if input.capped { self.slow_disconnected } else { self.disconnected };
-        state.back = in_a_row(state.back, inspires && pressure > peep);
+        state.back = in_a_row(state.back, inspires && pressure > peep.max(CLOSED));
         state.disconnected = (state.disconnected || state.gone >= longest) && state.back < self.connected;
         if state.disconnected {
             state.cut = cut;
@@ -246,6 +294,15 @@ impl BreathMonitor {
             return None;
         }
         self.inspired(state, &BreathInput { pressure, command, ..*input })
+    }
+
+    /// Whether the tube was open at the end of the inspiration and still is: its pressure is that of the room, and its gas does not
+    /// come back.
+    fn loses_all(&self, state: &mut BreathState, input: &BreathInput) -> bool {
+        let was_open = core::mem::take(&mut state.open) >= self.open_for;
+        let open = was_open && may_be_open(input.pressure, input.moment.settings().peep);
+        let lost = |gas: f32| gas >= TELLING_GAS && input.returned < COMES_BACK * gas + NOISE;
+        open && input.reached.is_some_and(lost)
     }
 
     /// Checks an expiration that an effort ends early at this PEEP, cmH2O, by its pressure before that.

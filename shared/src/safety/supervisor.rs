@@ -14,7 +14,7 @@ mod state;
 
 use super::alarms::{Action, Fault};
 use super::backup::Backup;
-use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
+use super::breath_monitor::{BreathInput, BreathMonitor, BreathState, may_be_open};
 use super::expected::Expected;
 use super::expiration::{Expiration, ExpirationState, IN_A_ROW, TIGHT};
 use super::filter::ValveCommand;
@@ -84,7 +84,8 @@ pub struct Supervisor {
     expiration: Expiration,
     volume: VolumeMonitor,
     flow: FlowMonitor,
-    /// Largest change of the learned part in a tick, percent.
+    /// Control period, s, and the largest change of the learned part in it, percent.
+    period: f32,
     slew: f32,
     /// [`OPENED`] and [`EMPTIED`] in ticks.
     opened: u32,
@@ -149,7 +150,7 @@ pub struct Belief<'a> {
     pub cut: bool,
     /// Rise of PIP with a baseline that stays above PEEP, cmH2O.
     pub pip_shift: f32,
-    /// Command that holds PEEP against a leak, percent.
+    /// Command beyond the bias that holds PEEP against a leak, percent.
     pub compensation: f32,
     /// Command of backup ventilation, percent; 0 outside its inspirations.
     pub backup: f32,
@@ -169,6 +170,7 @@ impl Supervisor {
             expiration: Expiration::new(period_us, monitors),
             volume: VolumeMonitor::new(period_us),
             flow: FlowMonitor::new(period_us, monitors),
+            period: period_s(period_us),
             slew: RESIDUAL_SLEW * period_s(period_us),
             opened: ticks(OPENED, period_us),
             emptied: ticks(EMPTIED, period_us),
@@ -367,21 +369,25 @@ impl Supervisor {
         }
     }
 
-    /// Checks the flow sensor by the last breath. While it is in doubt no leak is learned from it.
+    /// Checks the flow sensor by the last breath, and what that lost.
     fn check_flow(&self, state: &mut SupervisorState, settings: &Settings) {
         let blind = state.reading == Reading::Lost;
         if let Some(fault) = self.flow.judge(&mut state.flow, blind) {
             self.report(state, fault);
         }
-        if !state.flow.is_doubtful() {
-            self.learn_leak(state, settings);
-        }
+        self.judge_leak(state, settings);
     }
 
-    /// Learns the leak from the last breath.
-    fn learn_leak(&self, state: &mut SupervisorState, settings: &Settings) {
-        let Some(loss) = state.volumes.loss().filter(|_| !state.breath.is_disconnected()) else { return };
-        if self.expiration.learn_leak(&mut state.expiration, settings.peep, loss) {
+    /// Judges the gas that the last breath lost, and learns the leak from it unless the flow sensor is in doubt.
+    fn judge_leak(&self, state: &mut SupervisorState, settings: &Settings) {
+        let (expired, kept) = (state.volumes.expired_share(), state.volumes.lung_keeps(self.period));
+        if let Some(fault) = self.expiration.judge_last(&mut state.expiration, expired, kept) {
+            self.report(state, fault);
+        }
+        let shown = !state.flow.is_doubtful() && !state.breath.is_disconnected();
+        let Some(loss) = state.volumes.loss().filter(|_| shown) else { return };
+        if self.expiration.learn_leak(&mut state.expiration, (settings.peep, settings.expiratory_bias), loss)
+        {
             state.volume.leak_changed();
         }
     }
@@ -498,6 +504,7 @@ impl Supervisor {
             capped: self.level(state) == Level::CappedPid,
             volume: state.lung.volume(),
             reached: state.volumes.inspired().map(|_| state.flow.reached(moment.breath.period_s())),
+            returned: state.volumes.expired(),
             leaks: state.volumes.expired_share().is_some_and(|share| share < TIGHT),
             last: state.volumes.exchange(),
         };
@@ -538,8 +545,13 @@ impl Supervisor {
         let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
         let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < EFFORT;
         let reaches = flow < LITTLE_FLOW || readings.flow >= REACHES * flow;
-        let answered = reaches && drawn_in && !still && state.source.are_both_sound();
-        if !answered {
+        if reaches && drawn_in && !still && state.source.are_both_sound() {
+            return;
+        }
+        if readings.flow >= LITTLE_FLOW && reaches && may_be_open(pressure, settings.peep) {
+            state.cut = Cut::InDoubt;
+            state.breath.doubt();
+        } else {
             self.lose_response(state);
         }
     }
@@ -577,7 +589,10 @@ impl Supervisor {
         if let Some(fault) = state.ladder.breath_ended(state.cut == Cut::ByGas) {
             self.report(state, fault);
         }
-        state.cuts = in_a_row(state.cuts, state.cut());
+        if state.cut == Cut::InDoubt && !state.breath.is_disconnected() {
+            self.lose_response(state);
+        }
+        state.cuts = in_a_row(state.cuts, state.cut() && state.cut != Cut::InDoubt);
         if state.cuts >= CUTS_MAX {
             self.report(state, Fault::HighPressure);
         }
@@ -598,9 +613,7 @@ impl Supervisor {
         state.volumes.limit_exchange(self.flow.swing(&state.flow));
         let expired = state.volumes.expired_share();
         let swings = state.standing.swings();
-        if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired, swings) {
-            self.report(state, fault);
-        }
+        self.expiration.start_breath(&mut state.expiration, expired, swings);
         let believed = !state.is_flow_doubted() && state.unresponsive.is_none();
         if self.pressure.is_sustained(&state.pressure) && believed && state.volumes.are_blocked() {
             self.report(state, Fault::SustainedPressure);

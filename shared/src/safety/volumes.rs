@@ -1,5 +1,6 @@
 //! Volumes of each breath from the flow sensor at the airway, and the leak that they show.
 
+use super::expiration::KNOWN_LEAK;
 use super::leak::Loss;
 use crate::math;
 
@@ -16,6 +17,18 @@ const TELLING: f32 = 20.0;
 const SMOOTHING: f32 = 0.05;
 /// Play within which the integral of the flow moves without a volume, mL: less than any breath, more than the sensor's noise.
 const PLAY: f32 = 0.5;
+
+/// Flow out of the lung, through the sensor, from which the PEEP valve is open: no leak can take so much, L/s.
+const OUTFLOW: f32 = 0.02;
+/// Share of its flow to which a leak is known.
+const DOUBT: f32 = 0.1;
+/// Growth of the flow out of the lung over the length of a breath, as a share of the gas that the breath lacks, from which the lung has
+/// kept that gas: its time constant is shorter than twenty breaths.
+const KEPT: f32 = 0.05;
+/// Flow of a leak that is none, L/s.
+const TIGHT: f32 = 0.005;
+/// Share of the inspired gas, and the gas, mL, that may be missing in a breath without a leak: noise, an offset of the sensor.
+const MISSING: (f32, f32) = (0.15, 10.0);
 
 /// Gas that goes into the lung and out of it, mL, from the integral of its flow: noise moves that to and fro within [`PLAY`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -94,6 +107,9 @@ pub struct Volumes {
     expired_share: Option<f32>,
     /// Gas that the last breath lost.
     loss: Option<Loss>,
+    /// Smoothed flow at the end of the last breath, and the growth of that out of the lung since the end of the breath before, L/s.
+    ended: f32,
+    grown: f32,
 }
 
 impl Volumes {
@@ -134,8 +150,9 @@ impl Volumes {
         let Self { inspired, root, .. } = *self;
         let loss = (known && root > 0.0).then_some(Loss { gas: inspired - self.expired, root, inspired });
         let Self { ticks: last_ticks, flow, smooth, lung, .. } = *self;
-        *self = Self { lung, flow, smooth, last_ticks, breath, expired_share, loss, ..Self::default() };
-        self.exchange = breath;
+        let (ended, grown) = (smooth, self.ended - smooth);
+        let measured = Self { breath, expired_share, loss, ended, grown, ..Self::default() };
+        *self = Self { lung, flow, smooth, last_ticks, exchange: breath, ..measured };
     }
 
     /// Limits what counts as a breath by the swing of the last one, mL: what an offset of the sensor takes from the known leak, or adds to
@@ -155,6 +172,20 @@ impl Volumes {
     /// Recent rise of the flow towards the patient, L/s; 0 without a reading.
     pub fn surge(&self) -> f32 {
         self.flow - self.smooth
+    }
+
+    /// Whether the flow towards the patient goes to a leak, known to be of this size, L/s at 1 cmH2O, or larger, by the gas of the
+    /// running breath and the pressure, cmH2O. The lung gives gas to a leak until it has emptied.
+    pub fn goes_to_leak(&self, leak: f32, pressure: f32) -> bool {
+        if !self.is_measured() || self.smooth < -OUTFLOW {
+            return false;
+        }
+        let drawn = leak * math::square_root(pressure);
+        let leaked = self.lung.leaked;
+        let kept = self.inspired - self.expired - leaked;
+        let lung = (self.inspired - leaked).max(0.0);
+        let lost = kept > MISSING.0 * lung + MISSING.1 + DOUBT * leaked;
+        lost || (drawn >= KNOWN_LEAK && self.smooth < (1.0 + DOUBT) * drawn)
     }
 
     /// Volume inspired so far in the running breath, mL; none if the flow is not measured.
@@ -202,6 +233,15 @@ impl Volumes {
             expired: lung.expired.min(all.inspired - all.gas),
             kept: all.gas.max(lung.inspired - lung.expired),
         })
+    }
+
+    /// At the start of a breath, with ticks of `period` seconds: whether the lung has kept what the last breath lacks, or a tight circuit
+    /// has lost it. A lung that fills gives more gas at the end of each breath than of the one before, in proportion to what it has
+    /// kept.
+    pub fn lung_keeps(&self, period: f32) -> bool {
+        let seconds = period * self.last_ticks as f32;
+        let (grown, tight) = (1000.0 * self.grown * seconds, 1000.0 * TIGHT * seconds);
+        self.loss.is_some_and(|loss| loss.gas < tight || grown >= KEPT * loss.gas)
     }
 
     /// Gas that the last breath lost; none if flow or pressure were not measured. Gas that stays in the lung counts too, but in the
@@ -432,5 +472,52 @@ mod tests {
             volumes.expired_share()
         };
         assert_eq!((of(20.0), of(19.9)), (Some(0.5), None));
+    }
+
+    /// Volumes in a breath of 400 mL, of which this gas has come out after 1 s, mL, and in which this flow has settled since, L/s.
+    fn in_expiration(returned: f32, flow: f32, leak: f32, pressure: f32) -> Volumes {
+        let mut volumes = Volumes::default();
+        (0..1000).for_each(|_| volumes.add(0.4, pressure, leak, 0.001));
+        (0..1000).for_each(|_| volumes.add(-1e-3 * returned, pressure, leak, 0.001));
+        (0..300).for_each(|_| volumes.add(flow, pressure, leak, 0.001));
+        volumes
+    }
+
+    #[test]
+    fn gas_that_has_not_come_out_goes_to_a_leak_unless_the_lung_still_empties() {
+        let leaks = |returned, flow| in_expiration(returned, flow, 0.0, 5.0).goes_to_leak(0.0, 5.0);
+        // 15 % and 10 mL may be missing.
+        assert!(!leaks(331.0, 0.0) && leaks(329.0, 0.0));
+        assert!(!leaks(400.0, 0.1), "what an effort has taken in so far");
+        assert!(leaks(200.0, -0.019) && !leaks(200.0, -0.021));
+        let mut unknown = in_expiration(200.0, 0.0, 0.0, 5.0);
+        (0..300).for_each(|_| unknown.add(f32::NAN, 5.0, 0.0, 0.001));
+        assert!(!unknown.goes_to_leak(0.0, 5.0), "no flow sensor");
+    }
+
+    #[test]
+    fn flow_up_to_that_of_a_known_leak_and_a_tenth_goes_to_it() {
+        // 0.2 L/s at 16 cmH2O, all of whose gas is accounted for.
+        let leaks = |flow: f32| in_expiration(0.0, flow, 0.05, 16.0).goes_to_leak(0.05, 16.0);
+        assert!(leaks(0.215) && !leaks(0.225));
+        let small = in_expiration(400.0, 0.001, 0.005, 4.0);
+        assert!(!small.goes_to_leak(0.005, 4.0), "a tight circuit");
+    }
+
+    #[test]
+    fn a_lung_that_fills_has_kept_what_a_breath_lacks_and_a_leak_has_not() {
+        // Breaths of 400 mL in 1 s, of which this flow comes out for 2 s, L/s.
+        let mut volumes = Volumes::default();
+        let mut keeps = |out: f32| {
+            (0..1000).for_each(|_| volumes.add(0.4, 9.0, 0.0, 0.001));
+            (0..2000).for_each(|_| volumes.add(-out, 9.0, 0.0, 0.001));
+            volumes.start_breath();
+            volumes.lung_keeps(0.001)
+        };
+        // A twentieth of what is missing: 14 mL in 3 s.
+        assert!(keeps(0.06) && !keeps(0.06), "a leak");
+        assert!(keeps(0.065) && keeps(0.07) && !keeps(0.074) && !keeps(0.06));
+        assert!(keeps(0.193) && !keeps(0.19), "14 and 20 mL in 3 s");
+        assert!(!Volumes::default().lung_keeps(0.001), "no breath");
     }
 }

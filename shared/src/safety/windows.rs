@@ -11,15 +11,15 @@ use crate::breath::Moment;
 pub struct Windows<const N: usize> {
     sums: [f32; N],
     count: u32,
-    /// Windows that follow the running one.
-    following: u32,
+    /// Last tick that was added, of its breath.
+    tick: u32,
     last: Option<[f32; N]>,
     before: Option<[f32; N]>,
 }
 
 impl<const N: usize> Default for Windows<N> {
     fn default() -> Self {
-        Self { sums: [0.0; N], count: 0, following: 0, last: None, before: None }
+        Self { sums: [0.0; N], count: 0, tick: 0, last: None, before: None }
     }
 }
 
@@ -36,17 +36,18 @@ impl<const N: usize> Windows<N> {
         if !belongs {
             return;
         }
-        let following = (left - 1) / length;
-        if self.following != following {
-            // The end of the window before this one was not added: there was no reading.
-            (self.sums, self.count, self.following) = ([0.0; N], 0, following);
+        let place = (left - 1) % length;
+        if moment.tick.wrapping_sub(self.tick) >= length - place {
+            // A window starts. The end of the one before may not have been added: there was no reading.
+            (self.sums, self.count) = ([0.0; N], 0);
         }
+        self.tick = moment.tick;
         if let Some(values) = values {
             self.sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
             self.count += 1;
         }
         debug_assert!(self.count <= length, "a window ends after its length");
-        if (left - 1).is_multiple_of(length) {
+        if place == 0 {
             let Self { sums, count, last, .. } = core::mem::take(self);
             let mean = (count > 0).then(|| sums.map(|sum| sum / count as f32));
             (self.before, self.last) = (last, mean);
@@ -130,6 +131,15 @@ mod tests {
         let odd = until(&paper(), 3000, |tick| (tick % 2 == 1).then_some(tick as f32));
         assert_eq!(odd.last(), Some([2975.0]));
         assert_eq!(until(&paper(), 3000, |_| None).last(), None);
+    }
+
+    #[test]
+    fn a_window_without_its_end_counts_for_no_later_one() {
+        // The readings are lost in the middle of a window, and are back in the next breath's expiration.
+        let (breath, mut windows) = (paper(), Windows::default());
+        (0..1030).for_each(|tick| windows.add(&breath.at(tick), LENGTH, Some([100.0])));
+        (1000..1100).for_each(|tick| windows.add(&breath.at(tick), LENGTH, Some([1.0])));
+        assert_eq!((windows.last(), windows.before()), (Some([1.0]), Some([1.0])));
     }
 
     #[test]

@@ -382,7 +382,12 @@ fn breathe_with_efforts(
 
 /// A pressure with an effort from a tick on.
 fn inhales(from: u32) -> impl Fn(u32) -> Readings {
-    move |tick| Readings::from(if tick < from { 5.0 } else { 3.0 })
+    move |tick| Readings::from(if tick < from { 5.0 } else { 3.0 } + fine(tick))
+}
+
+/// The least step of a fine sensor.
+fn fine(tick: u32) -> f32 {
+    if tick.is_multiple_of(2) { 0.0 } else { 1.0 / 1024.0 }
 }
 
 #[test]
@@ -390,8 +395,23 @@ fn an_effort_starts_the_next_breath_but_not_the_second_one() {
     let settings = paper_settings(20.0);
     let lengths = breathe_with_efforts(&ventilator(), &settings, 4, inhales(2000));
     assert_eq!(lengths, [(3000, false), (2010, true), (2010, true), (2010, true)]);
-    let flow = |tick| Readings { flow: if tick < 2000 { -0.1 } else { -0.05 }, ..5.0.into() };
+    let flow = |tick| Readings { flow: if tick < 2000 { -0.1 } else { -0.05 } + fine(tick), ..5.0.into() };
     assert_eq!(breathe_with_efforts(&ventilator(), &settings, 3, flow)[1..], [(2010, true); 2]);
+}
+
+#[test]
+fn flow_that_makes_up_for_a_leak_does_not_rise_as_the_expiration_begins() {
+    let ventilator = ventilator();
+    let mut state = started(&ventilator);
+    let mut breathe = |sagging: f32| {
+        let ticks = 0..3000;
+        let pressure = |tick| if tick < 1500 { 5.0 } else { sagging };
+        ticks.map(|tick| ventilator.step(&mut state, pressure(tick)).sample.unwrap().u_in).collect::<Vec<_>>()
+    };
+    let closed = breathe(4.0);
+    assert_eq!((closed[1499], closed[1500]), (0.0, 5.02), "the bias and the first rise");
+    let open = breathe(5.0);
+    assert!(open[1499] > 20.0 && (open[1500] - open[1499]).abs() < 0.1, "{} {}", open[1499], open[1500]);
 }
 
 #[test]

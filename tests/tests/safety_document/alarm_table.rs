@@ -217,13 +217,17 @@ fn inspirations() -> Vec<Conditions> {
     );
     let disconnection = format!(
         "{} s of inspirations ({} s with a capped command) at less than {} % of PEEP and more than {} cmH2O \
-         below it, with a command above {} %; until the patient is back, the PID probes with a capped \
-         command",
+         below it, with a command above {} %; or an inspiration that ends at such a pressure, or below {} \
+         cmH2O, less than {} % of whose gas comes back by the end of the breath, or within {} s; until the \
+         patient is back, the PID probes with a capped command",
         number(breath::DISCONNECTED),
         number(breath::SLOW_DISCONNECTED),
         percent(breath::OPEN_END),
         number(breath::BELOW_PEEP),
-        number(breath::FILLING)
+        number(breath::FILLING),
+        number(breath::ROOM),
+        percent(breath::COMES_BACK),
+        number(breath::RETURNS)
     );
     let occlusion = format!(
         "in {} breaths in a row less than {} % of the volume per pressure rise of the last good breaths, \
@@ -238,10 +242,13 @@ fn inspirations() -> Vec<Conditions> {
         flow_monitor::BLOCKED_BREATHS,
         percent(flow_monitor::GETS_THROUGH)
     );
-    let back = "the pressure of an inspiration is above PEEP again";
+    let back = format!(
+        "the pressure of an inspiration is above PEEP again, and above {} cmH2O",
+        number(breath::CLOSED)
+    );
     vec![
         (Fault::LowPressure, low, GONE.to_owned()),
-        (Fault::Disconnection, disconnection, back.to_owned()),
+        (Fault::Disconnection, disconnection, back),
         (Fault::Occlusion, occlusion, GONE.to_owned()),
     ]
 }
@@ -296,7 +303,8 @@ fn device() -> Vec<Conditions> {
 fn gas() -> Vec<Conditions> {
     let leak = format!(
         "less than {} % of the inspired volume comes out in {} breaths in a row, or less than {} % if \
-         holding PEEP takes a command of more than {} % above the bias",
+         holding PEEP takes a command of more than {} % above the bias; not if more flows out at the end of \
+         each of them than of the one before: the lung fills",
         percent(expiration::OPEN),
         expiration::LEAKS,
         percent(expiration::TIGHT),

@@ -150,6 +150,7 @@ fn sensors() -> Vec<Claim> {
         ),
         says("little gas ({} mL of the valve's model", [number(flow_monitor::TELLING)]),
         says("holds it up (a command of at most {} %)", [number(expiration::BOUND)]),
+        says("in advance, with a command of at most {} %", [number(expiration::LEAK_BOUND)]),
         says("After a change of the settings {} breaths", [number(breath_monitor::UNCHECKED_BREATHS)]),
     ]
 }

@@ -167,7 +167,7 @@ mod tests {
     use crate::endure::course;
     use crate::endure::patient::Patient;
     use crate::endure::sound_controller;
-    use plant::bench::BenchConfig;
+    use plant::bench::{BenchConfig, LeakChange};
     use rayon::prelude::*;
     use shared::settings::Settings;
 
@@ -282,6 +282,42 @@ mod tests {
         assert!(efforts.missed_share() <= 0.02, "{} of {} missed", efforts.missed, efforts.due);
         let self_triggered = efforts.self_triggered_per_mille();
         assert!(self_triggered <= 1.0, "{self_triggered} in 1000");
+    }
+
+    /// The counts of patients with these strengths of effort at a PEEP, in whom a leak of this size begins after a minute.
+    fn with_a_large_leak(strengths: &[f64], peep: f32, leak: f64) -> Efforts {
+        let (controller, _) = sound_controller().unwrap();
+        let mut patients = Vec::new();
+        for lung in [(5.0, 10.0), (5.0, 50.0), (20.0, 20.0), (50.0, 10.0), (50.0, 50.0)] {
+            for effort in strengths {
+                let mut patient = patient(patients.len() as u64, lung, *effort, 0.005, 16.0);
+                (patient.settings.peep, patient.settings.pip) = (peep, peep + 15.0);
+                let change = LeakChange { at_s: 61.0, leak_l_per_s_at_30_cmh2o: leak };
+                patient.bench.circuit.leak_changes = vec![change];
+                patients.push(patient);
+            }
+        }
+        let stay =
+            |patient: &Patient| course::run(patient, &controller, 0.1, &mut ()).unwrap().unwrap().efforts;
+        let mut sum = Efforts::default();
+        for stay in &patients.par_iter().map(stay).collect::<Vec<_>>() {
+            sum.add(stay);
+        }
+        sum
+    }
+
+    #[test]
+    fn up_to_the_largest_leak_efforts_alone_start_breaths() {
+        for (peep, leak) in [(5.0, 0.9), (5.0, 1.0), (15.0, 0.5), (15.0, 1.0)] {
+            let passive = with_a_large_leak(&[0.0], peep, leak);
+            // One as the leak begins: nothing tells it from an effort then.
+            assert!(passive.breaths > 400, "PEEP {peep}, leak {leak}: {passive:?}");
+            assert!(passive.self_triggered <= 5, "PEEP {peep}, leak {leak}: {passive:?}");
+            let breathing = with_a_large_leak(&[5.0, 12.0], peep, leak);
+            assert!(breathing.due > 500, "PEEP {peep}, leak {leak}: {breathing:?}");
+            assert!(breathing.missed_share() <= 0.05, "PEEP {peep}, leak {leak}: {breathing:?}");
+            assert!(breathing.self_triggered <= 10, "PEEP {peep}, leak {leak}: {breathing:?}");
+        }
     }
 
     #[test]

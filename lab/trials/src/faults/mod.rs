@@ -4,6 +4,8 @@
 mod backup_tests;
 pub mod cases;
 #[cfg(test)]
+mod disconnection_tests;
+#[cfg(test)]
 mod frozen_tests;
 pub(crate) mod hostile;
 pub mod injection;

@@ -1,13 +1,15 @@
 //! The supervisor's state as others see it: the alarms, the level of the ladder, and the running breath.
 
-use super::SupervisorState;
+use super::{Belief, SupervisorState};
 use crate::safety::alarms::Fault;
 use crate::safety::indications::Indications;
 use crate::safety::ladder::Level;
 use crate::safety::lung_estimator::TELLING_RISE;
 use crate::safety::source::Reading;
+use crate::trigger::Sign;
 
-/// Whether the pressure limit has ended the running breath's inspiration, and what raised the pressure to it.
+/// Whether the running breath's inspiration was ended early, at the pressure limit by what raised the pressure to it, or because its
+/// gas may flow out of an open tube.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Cut {
     /// It has not.
@@ -17,6 +19,8 @@ pub(super) enum Cut {
     ByGas,
     /// The patient, who coughs.
     ByPatient,
+    /// Neither: no pressure answers to the gas, which the expiration must show to come back.
+    InDoubt,
 }
 
 impl Cut {
@@ -74,7 +78,7 @@ impl SupervisorState {
         self.source.is_sound()
     }
 
-    /// Whether the running inspiration was ended at the pressure limit.
+    /// Whether the running inspiration was ended early.
     pub fn cut(&self) -> bool {
         self.cut != Cut::None
     }
@@ -104,6 +108,14 @@ impl SupervisorState {
     /// Leak that the breaths so far have shown, L/s at 1 cmH2O; none unless the flow of the last breath was measured.
     pub fn leak(&self) -> Option<f32> {
         self.volumes.breath().and(self.expiration.known_leak())
+    }
+
+    /// Whether a leak, not the patient, may have given a sign of an effort: the pressure sags, and gas that has gone in does not come
+    /// out again, or what flows in is no more than what the known leak takes at this pressure.
+    pub fn leak_explains(&self, sign: Sign, belief: &Belief) -> bool {
+        // While the PEEP valve is open, flow that rises is the patient's; after a sag it may be what makes up for the leak.
+        let sags = sign == Sign::Pressure || self.expiration.has_sagged();
+        sags && self.volumes.goes_to_leak(self.expiration.leak(), belief.pressure)
     }
 
     /// Starts ventilation: resets everything except the sensors' state, the alarms and a latched fault.

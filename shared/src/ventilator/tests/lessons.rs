@@ -130,6 +130,7 @@ fn a_small_step_of_pip_or_peep_leaves_what_was_learned() {
 fn a_breath_that_an_effort_triggers_is_left_out() {
     let mut efforts = 0;
     let lessons = taught(4, |_, state, pressure| {
+        *pressure += fine(state.tick());
         // The patient draws in the second expiration.
         if state.breath_number() == 1 && state.tick() > 2600 {
             *pressure = 1.0;

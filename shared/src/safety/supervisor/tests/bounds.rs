@@ -1,6 +1,7 @@
 //! Tests of the supervisor at its bounds: counts, shares and times of SAFETY.md to the tick.
 
 use super::*;
+use crate::safety::indications::FaultSet;
 
 #[test]
 fn an_alarm_is_present_for_two_breaths_after_its_condition() {
@@ -426,4 +427,43 @@ fn flow_that_holds_peep_is_an_alarm_unless_the_patient_draws_it_in() {
     };
     // Of a step, 98 % are above the smoothed flow.
     assert!(alarmed(0.0) && alarmed(0.05) && !alarmed(0.052));
+}
+
+/// Two breaths into a tube at the room's pressure with full flow, after two that have shown the lung: the tick at which the first
+/// inspiration is cut, and the alarms.
+fn into_the_room(comes_back: bool) -> (Option<u32>, FaultSet) {
+    let mut run = Run::new();
+    (0..2).for_each(|_| assert_eq!(run.inspire(Lung::Elastic(0.05), 20.0), None));
+    let (breath, mut cut) = (breath(), None);
+    for tick in (0..2).flat_map(|_| 0..breath.total_ticks()) {
+        let inspires = breath.phase(tick) == Phase::Inspiration;
+        let returns = comes_back && (1050..1650).contains(&tick);
+        let flow = match run.state.lung.valve_flow() {
+            flow if inspires && !run.state.cut() => flow,
+            _ => {
+                if returns {
+                    -0.5
+                } else {
+                    0.0
+                }
+            }
+        };
+        let readings = Readings { airway: 0.2 + dither(tick), outlet: f32::NAN, flow };
+        run.check_all(readings, Some(tick));
+        cut = cut.or(run.state.cut().then_some(tick));
+        run.filter(ControlOutput::plain(100.0), !inspires);
+        run.supervisor.end_tick(&mut run.state, &breath.at(tick), false);
+    }
+    (cut, run.state.indications().present())
+}
+
+#[test]
+fn gas_that_flows_at_the_rooms_pressure_ends_the_inspiration_and_the_expiration_tells_why() {
+    let (cut, alarms) = into_the_room(false);
+    assert!(cut.is_some_and(|tick| tick < 600), "{cut:?}");
+    assert!(alarms.has(Fault::Disconnection) && !alarms.has(Fault::NoResponse), "nothing comes back");
+    let (cut, alarms) = into_the_room(true);
+    assert!(cut.is_some_and(|tick| tick < 600), "no more gas than without a pressure that responds: {cut:?}");
+    assert!(alarms.has(Fault::NoResponse) && !alarms.has(Fault::Disconnection), "the readings are wrong");
+    assert!(!alarms.has(Fault::HighPressure));
 }
