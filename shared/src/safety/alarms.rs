@@ -69,6 +69,10 @@ pub enum Fault {
     Apnoea,
     /// The flow sensor gives no reading.
     FlowSensorLost,
+    /// Breaths have become much smaller than those before, at the same settings.
+    VentilationFalls,
+    /// Breaths have become a fraction of those before, or have been much smaller for long.
+    VentilationLost,
 }
 
 /// Priority of an alarm (IEC 60601-1-8).
@@ -150,7 +154,7 @@ use Action::{Backup, CappedPid, Report, Vent};
 use Priority::{High, Low, Medium};
 
 /// All alarms, in the order of [`Fault`].
-pub const ALARMS: [Alarm; 30] = [
+pub const ALARMS: [Alarm; 32] = [
     row(Fault::ReadingNotANumber, "reading-nan", (High, Backup), "pressure reading is not a number"),
     row(Fault::ReadingOutOfRange, "reading-range", (High, Backup), "pressure reading out of range"),
     row(Fault::HighPressure, "high-pressure", (High, Report), "pressure above its limit"),
@@ -191,6 +195,13 @@ pub const ALARMS: [Alarm; 30] = [
     row(Fault::MinuteVolumeHigh, "minute-volume-high", (Medium, Report), "minute volume too high"),
     row(Fault::Apnoea, "apnoea", (High, Report), "no gas goes in and out"),
     row(Fault::FlowSensorLost, "flow-sensor-lost", (Low, Report), "flow sensor lost"),
+    row(Fault::VentilationFalls, "ventilation-falls", (Medium, Report), "breaths have become much smaller"),
+    row(
+        Fault::VentilationLost,
+        "ventilation-lost",
+        (High, Report),
+        "breaths have become a fraction of what they were",
+    ),
 ];
 
 impl Fault {

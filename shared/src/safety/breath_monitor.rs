@@ -2,14 +2,20 @@
 
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, ticks};
+use super::settling::{Settling, UNCHECKED_BREATHS, exchange_time, filling_time};
 use super::volumes::BreathVolumes;
 use super::windows::Windows;
 use crate::breath::Moment;
+use crate::settings::Settings;
 
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
 pub const ABOVE_PEEP: f32 = 3.0;
 /// Pressure below PEEP at which PEEP counts as lost, cmH2O.
 pub const BELOW_PEEP: f32 = 2.0;
+/// Fall of the pressure from one window at the end of an expiration to the next that shows a lung which still empties, cmH2O.
+const FALLS: f32 = 0.1;
+/// Pressure below PEEP that does not prove a sound baseline while PEEP changes, cmH2O.
+const NEARLY_LOW: f32 = 1.0;
 /// Fraction of the rise from PEEP to PIP that an inspiration must reach.
 pub const REACHED: f32 = 0.3;
 /// Mean command above which the valve counts as wide open, percent.
@@ -57,8 +63,6 @@ pub const TRAPPED_BREATHS: u32 = 4;
 /// Smallest rise from which a compliance is estimated, cmH2O.
 const TELLING_RISE: f32 = 3.0;
 
-/// Breaths after a change of settings that raise no alarm.
-pub const UNCHECKED_BREATHS: u32 = 2;
 /// Breaths in a row with a leak that make the earlier volumes useless; an occlusion looks like a leak for one breath.
 const LEAKY_BREATHS: u32 = 3;
 /// Breaths with a lower compliance after which it is taken for the lung's own.
@@ -116,8 +120,8 @@ pub struct BreathState {
     low: u32,
     weak: u32,
     occluded: u32,
-    /// Volume per pressure of the last two good breaths, mL/cmH2O, the newer first: an effort may have raised one of them.
-    compliances: [Option<f32>; 2],
+    /// Those of the last two good breaths, the newer first: an effort may have raised one of them.
+    compliances: [Option<Compliance>; 2],
     /// Volumes of the last breath with a lower one, mL: the delivered one, and the expired one with which it is no occlusion.
     delivered: f32,
     normal: f32,
@@ -125,16 +129,40 @@ pub struct BreathState {
     passed: bool,
     /// Breaths in a row with a leak.
     leaky: u32,
-    /// Breaths that are still not checked after a change of the settings.
-    unchecked: u32,
+    /// Wait of the baseline after a change of the settings, and PEEP before it, cmH2O.
+    settling: Settling,
+    peep_before: f32,
+}
+
+/// Volume per pressure of a good breath.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Compliance {
+    /// mL/cmH2O.
+    value: f32,
+    /// [`exchange_time`] of the breath as set, s.
+    time: f32,
+}
+
+impl Compliance {
+    /// The least that the same lung takes in a breath with this [`exchange_time`], s.
+    fn at(self, time: f32) -> f32 {
+        self.value * (time / self.time).min(1.0)
+    }
 }
 
 impl BreathState {
-    /// The settings have changed: the next breaths are not comparable with those before, and are not checked. An open airway stays
-    /// open.
-    pub fn settings_changed(&mut self) {
-        let Self { gone, open, disconnected, back, .. } = *self;
-        *self = Self { gone, open, disconnected, back, unchecked: UNCHECKED_BREATHS, ..Self::default() };
+    /// The settings have changed so that breaths have to settle: their baseline waits, and nothing else. PEEP was `peep_before`, cmH2O.
+    pub fn settings_changed(&mut self, peep_before: f32) {
+        if self.settling.begin(UNCHECKED_BREATHS) {
+            (self.high, self.above, self.low) = (0, 0, 0);
+        }
+        self.peep_before = peep_before;
+    }
+
+    /// The lowest and the highest PEEP to which the lung may still be settling, cmH2O.
+    fn peeps(&self, peep: f32) -> (f32, f32) {
+        let before = if self.settling.has_rested() { peep } else { self.peep_before };
+        (peep.min(before), peep.max(before))
     }
 
     /// Ends a breath of these volumes. An effort may take in the gas only in the expiration.
@@ -146,9 +174,9 @@ impl BreathState {
         self.passed = passed.is_some_and(|passed| passed >= PASSES * self.delivered);
     }
 
-    /// The lower volume per pressure of the last two good breaths, mL/cmH2O.
-    fn compliance(&self) -> Option<f32> {
-        self.compliances.into_iter().flatten().reduce(f32::min)
+    /// The lower volume per pressure that the last two good breaths let expect of one with this [`exchange_time`], s; mL/cmH2O.
+    fn compliance(&self, time: f32) -> Option<f32> {
+        self.compliances.into_iter().flatten().map(|before| before.at(time)).reduce(f32::min)
     }
 
     /// The inspiration ends because its gas may flow out of an open tube: the expiration shows whether it does.
@@ -273,7 +301,7 @@ impl BreathMonitor {
             return Some(Fault::Disconnection);
         }
         // A high baseline has another cause.
-        let cut_now = inspires && cut && !state.cut && state.high == 0 && state.unchecked == 0;
+        let cut_now = inspires && cut && !state.cut && state.high == 0;
         if cut_now && self.occluded(state, pressure - peep, input) {
             return Some(Fault::Occlusion);
         }
@@ -287,10 +315,11 @@ impl BreathMonitor {
             return None;
         }
         if !inspires {
-            return self.expired(state, state.rest.last(), peep, cut);
+            let falls = state.rest.fall().is_some_and(|[fall]| fall > FALLS);
+            return self.expired(state, state.rest.last(), (peep, falls), cut);
         }
         let (pressure, command) = (state.pressure.take(), state.command.take());
-        if cut || state.unchecked > 0 {
+        if cut {
             return None;
         }
         self.inspired(state, &BreathInput { pressure, command, ..*input })
@@ -309,7 +338,7 @@ impl BreathMonitor {
     /// `emptied`: it lasted long enough to have a baseline.
     pub fn triggered(&self, state: &mut BreathState, peep: f32, emptied: bool, cut: bool) -> Option<Fault> {
         let before = state.high;
-        let fault = self.expired(state, state.rest.before(), peep, cut);
+        let fault = self.expired(state, state.rest.before(), (peep, false), cut);
         if !emptied {
             state.high = state.high.min(before);
         }
@@ -325,7 +354,9 @@ impl BreathMonitor {
     fn inspired(&self, state: &mut BreathState, end: &BreathInput) -> Option<Fault> {
         let settings = end.moment.settings();
         let rise = end.pressure - settings.peep;
-        let weak = rise < REACHED * (settings.pip - settings.peep) && end.command > WIDE_OPEN;
+        // A lung that a lower PEEP has left takes gas before its pressure rises.
+        let least = state.peeps(settings.peep).0 + REACHED * (settings.pip - settings.peep);
+        let weak = end.pressure < least && end.command > WIDE_OPEN;
         state.weak = in_a_row(state.weak, weak);
         let occluded = self.occluded(state, rise, end);
         if state.weak >= self.weak {
@@ -338,11 +369,16 @@ impl BreathMonitor {
     /// effort or cough changes the ratio too, but gas passes the tube.
     fn occluded(&self, state: &mut BreathState, rise: f32, end: &BreathInput) -> bool {
         let BreathInput { volume, reached, cut, .. } = *end;
+        let settings = end.moment.settings();
+        // An inspiration begins at the PEEP of the breath before.
+        let began = if state.settling.is_new() { state.peep_before } else { settings.peep };
+        let rise = rise - (began - settings.peep).max(0.0);
         if rise <= TELLING_RISE {
             return false;
         }
-        let (compliance, before) = (volume / rise, state.compliance());
-        let occluded = before.is_some_and(|before| compliance < OCCLUDED * before);
+        let compliance = Compliance { value: volume / rise, time: exchange_time_of(settings) };
+        let before = state.compliance(compliance.time);
+        let occluded = before.is_some_and(|before| compliance.value < OCCLUDED * before);
         state.occluded = in_a_row(state.occluded, occluded);
         // A breath that a cough ends has little gas, all of which comes out.
         (state.delivered, state.normal) = (volume, volume * if cut { PASSES } else { OPEN });
@@ -354,31 +390,46 @@ impl BreathMonitor {
         state.occluded >= self.occluded && (!passes || state.occluded >= NARROWED_BREATHS)
     }
 
-    /// Checks an expiration by a mean pressure at its end.
+    /// Checks an expiration by a mean pressure at its end, against PEEP, and by whether that pressure still falls.
     fn expired(
         &self,
         state: &mut BreathState,
         pressure: Option<[f32; 1]>,
-        peep: f32,
+        (peep, falls): (f32, bool),
         cut: bool,
     ) -> Option<Fault> {
-        if state.unchecked > 0 {
-            state.unchecked -= 1;
+        if !state.settling.judges() {
             return None;
         }
         let [pressure] = pressure?;
         let above_peep = pressure - peep;
-        state.high = in_a_row(state.high, above_peep > ABOVE_PEEP);
-        state.above = in_a_row(state.above, above_peep > ABOVE_PEEP);
+        let (lowest, highest) = state.peeps(peep);
+        let is_high = above_peep > ABOVE_PEEP;
         // After a cough the lung contains less gas than at PEEP.
-        state.low = in_a_row(state.low, above_peep < -BELOW_PEEP && !cut);
+        let is_low = above_peep < -BELOW_PEEP && !cut;
+        // While PEEP changes again and again, a pressure that is right by chance tells nothing: it would be wrong at the PEEP before.
+        // And a lung still empties what larger breaths have left in it: that is trapped only if it stays.
+        let empties = falls && !state.settling.has_rested();
+        if is_high || pressure <= lowest + ABOVE_PEEP {
+            state.high = if is_high && empties { state.high } else { in_a_row(state.high, is_high) };
+            state.above = in_a_row(state.above, is_high);
+        }
+        let nearly_low = above_peep < -NEARLY_LOW && pressure < highest - BELOW_PEEP && !cut;
+        if is_low || !nearly_low {
+            state.low = in_a_row(state.low, is_low);
+        }
         debug_assert!(state.high <= state.above, "efforts shorten no row but one");
-        debug_assert!(state.low == 0 || state.high == 0, "a baseline is high or low");
         if state.high >= self.high || self.is_trapped(state) {
             return Some(Fault::BaselineHigh);
         }
         (state.low >= self.low).then_some(Fault::BaselineLow)
     }
+}
+
+/// [`exchange_time`] of a breath with these settings that the clock ends, s.
+fn exchange_time_of(settings: &Settings) -> f32 {
+    let filling = filling_time(settings.inspiratory_time, settings.rise_time);
+    exchange_time(filling, 60.0 / settings.rate - settings.inspiratory_time)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@
 //!   for gas that is trapped behind a resistance, whose pressure falls as its flow does. An expiration that an effort ends is
 //!   judged by what it was before the effort.
 
-use super::breath_monitor::{ABOVE_PEEP, UNCHECKED_BREATHS};
+use super::breath_monitor::ABOVE_PEEP;
 use super::leak::{Leak, Loss};
 use super::lung_estimator::command_for;
 use super::monitors::{Monitors, in_a_row, ticks};
@@ -111,8 +111,6 @@ pub struct ExpirationState {
     fills: u32,
     /// Lowest compensation in the breath: an effort raises it for a moment only.
     lowest: f32,
-    /// Breaths that are still not compared after a change of the settings.
-    unchecked: u32,
     /// Smoothed pressure, cmH2O.
     smooth: f32,
     /// Samples of the expiration, a ring, and their number so far.
@@ -143,6 +141,17 @@ impl Sample {
         let with_flow = WITH_FLOW * (self.pressure - peep) * less;
         if out > EMPTIES { fall > WITH_FLOW_LEAST && fall * out > with_flow } else { fall > CONSTANT }
     }
+}
+
+/// What became of gas that has not come out of a breath.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Missing {
+    /// A leak may have taken it.
+    Lost,
+    /// The lung may have kept it: more flows out at the end of the breath than of the one before.
+    Kept,
+    /// Other settings, or a breath that has taken much less gas than usual, explain it.
+    Explained,
 }
 
 impl Expiration {
@@ -236,19 +245,20 @@ impl Expiration {
     }
 
     /// Judges the breath before the one that has started, of which this share of the volume came out. A finding if breaths indicate a
-    /// leak or a PEEP valve that holds nothing; gas that the lung has `kept` is not lost.
+    /// leak or a PEEP valve that holds nothing.
     pub fn judge_last(
         &self,
         state: &mut ExpirationState,
         expired_share: Option<f32>,
-        kept: bool,
+        missing: Missing,
     ) -> Option<Fault> {
         let least = if state.compensation() > LEAK { TIGHT } else { OPEN };
-        let lost = state.unchecked == 0 && expired_share.is_some_and(|share| share < least);
-        state.leaks = in_a_row(state.leaks, lost);
-        // A lung that fills keeps gas in all of them.
-        state.fills = if lost { state.fills + u32::from(kept) } else { 0 };
-        state.unchecked = state.unchecked.saturating_sub(1);
+        let lost = expired_share.is_some_and(|share| share < least);
+        if missing != Missing::Explained {
+            state.leaks = in_a_row(state.leaks, lost);
+            // A lung that fills keeps gas in all of them.
+            state.fills = if lost { state.fills + u32::from(missing == Missing::Kept) } else { 0 };
+        }
         state.held = in_a_row(state.held, state.lowest > HELD);
         state.lowest = state.compensation;
         if state.leaks >= self.leaks && state.fills < state.leaks {
@@ -286,11 +296,9 @@ impl Expiration {
 }
 
 impl ExpirationState {
-    /// The settings have changed, in the breath that starts now: neither it nor the next one indicates a leak, nor does the last one,
-    /// and its baseline says nothing about another PEEP.
-    pub fn settings_changed(&mut self) {
-        self.unchecked = UNCHECKED_BREATHS + 1;
-        (self.incomplete, self.above) = (0, 0.0);
+    /// PEEP has risen by this, cmH2O, which may be negative: PIP follows no more of a constant baseline than is above both.
+    pub fn peep_changed(&mut self, rise: f32) {
+        self.above = math::limit(self.above - rise, 0.0, self.above);
     }
 
     /// Takes a sample; `first`: of this expiration.

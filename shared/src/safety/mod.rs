@@ -17,6 +17,8 @@
 //! | [`leak`] | estimates the leak of the circuit |
 //! | [`volumes`] | measures what goes in and comes out |
 //! | [`volume_monitor`] | checks tidal volume and minute volume, and detects apnoea |
+//! | [`reference_volume`] | checks the volume of a breath against those before |
+//! | [`settling`] | how long monitors wait after a change of the settings |
 //! | [`host`] | detects a silent host |
 //! | [`ladder`] | levels of trust: learned controller, PID, capped PID, backup ventilation |
 //! | [`backup`] | ventilation without a pressure reading |
@@ -43,7 +45,9 @@ pub mod monitors;
 pub mod plateau;
 pub mod pressure_monitor;
 pub mod reading_monitor;
+pub mod reference_volume;
 pub mod responses;
+pub mod settling;
 pub mod source;
 pub mod standing;
 pub mod supervisor;

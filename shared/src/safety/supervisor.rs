@@ -16,7 +16,7 @@ use super::alarms::{Action, Fault};
 use super::backup::Backup;
 use super::breath_monitor::{BreathInput, BreathMonitor, BreathState, may_be_open};
 use super::expected::Expected;
-use super::expiration::{Expiration, ExpirationState, IN_A_ROW, TIGHT};
+use super::expiration::{Expiration, ExpirationState, IN_A_ROW, Missing, TIGHT};
 use super::filter::ValveCommand;
 use super::flow_monitor::{FlowMonitor, FlowState};
 use super::indications::Indications;
@@ -24,7 +24,9 @@ use super::ladder::{CAP, Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonitor, PressureState};
+use super::reference_volume::ReferenceVolume;
 use super::responses::{Response, Responses};
+use super::settling::{Filling, moves_breaths, moves_peep};
 use super::source::{PressureSource, Reading, SourceState};
 use super::standing::Standing;
 use super::volume_monitor::{VolumeMonitor, VolumeState};
@@ -110,6 +112,12 @@ pub struct SupervisorState {
     /// Inspirations in a row in which the flow sensor did not show the gas of the valve's model.
     unshown: u32,
     flow: FlowState,
+    reference: ReferenceVolume,
+    filling: Filling,
+    /// Whether the lung has kept what the last breath lacks, since the settings have changed.
+    kept: bool,
+    /// Whether the flow sensor was sound in the last breath of a connected patient.
+    flow_sound: bool,
     backup: Backup,
     ladder: Ladder,
     /// Settings of the running breath.
@@ -334,6 +342,7 @@ impl Supervisor {
             1 => self.check_flow(state, settings),
             2 => self.check_volumes(state, settings),
             3 => self.judge_gas(state, readings, settings),
+            4 => self.check_reference(state, settings),
             _ => {}
         }
         debug_assert!(
@@ -380,8 +389,15 @@ impl Supervisor {
 
     /// Judges the gas that the last breath lost, and learns the leak from it unless the flow sensor is in doubt.
     fn judge_leak(&self, state: &mut SupervisorState, settings: &Settings) {
-        let (expired, kept) = (state.volumes.expired_share(), state.volumes.lung_keeps(self.period));
-        if let Some(fault) = self.expiration.judge_last(&mut state.expiration, expired, kept) {
+        let missing = if state.kept || state.reference.takes_little() {
+            Missing::Explained
+        } else if state.volumes.lung_keeps(self.period) {
+            Missing::Kept
+        } else {
+            Missing::Lost
+        };
+        let expired = state.volumes.expired_share();
+        if let Some(fault) = self.expiration.judge_last(&mut state.expiration, expired, missing) {
             self.report(state, fault);
         }
         let shown = !state.flow.is_doubtful() && !state.breath.is_disconnected();
@@ -389,6 +405,7 @@ impl Supervisor {
         if self.expiration.learn_leak(&mut state.expiration, (settings.peep, settings.expiratory_bias), loss)
         {
             state.volume.leak_changed();
+            state.reference.leak_changed();
         }
     }
 
@@ -445,6 +462,15 @@ impl Supervisor {
             self.report(state, Fault::SensorsDisagree);
         }
         differ
+    }
+
+    /// Compares the volume of the last breath with those before.
+    fn check_reference(&self, state: &mut SupervisorState, settings: &Settings) {
+        let sound = state.flow_sound && !state.flow.is_doubtful();
+        let SupervisorState { reference, volumes, .. } = state;
+        if let Some(fault) = reference.check(volumes, sound, self.period, settings) {
+            self.report(state, fault);
+        }
     }
 
     /// Compares the sensors at the end of an expiration, before a start of the next breath.
@@ -596,11 +622,12 @@ impl Supervisor {
         if state.cuts >= CUTS_MAX {
             self.report(state, Fault::HighPressure);
         }
-        if state.settings.replace(*settings).is_some_and(|before| before != *settings) {
-            state.breath.settings_changed();
-            state.expiration.settings_changed();
-            state.volume.settings_changed();
+        let before = state.settings.replace(*settings).filter(|before| before != settings);
+        if let Some(before) = before {
+            Self::settings_changed(state, &before, settings);
         }
+        let shown = state.cut() || state.backup.is_flow_sound();
+        state.flow_sound = shown && !state.breath.is_disconnected();
         (state.cut, state.missed, state.learned) = (Cut::None, 0, 0.0);
         match pressure {
             Some(_) => state.lung.forget_gas(),
@@ -612,11 +639,26 @@ impl Supervisor {
         state.volumes.start_breath();
         state.volumes.limit_exchange(self.flow.swing(&state.flow));
         let expired = state.volumes.expired_share();
+        // Gas that a leak takes is more than a lung has room for. The breath that has ended had the settings before.
+        state.kept = state.volumes.loss().is_some_and(|loss| state.filling.explains(loss.gas));
+        if let Some(before) = before {
+            state.filling.begin(&before, settings);
+        }
         let swings = state.standing.swings();
         self.expiration.start_breath(&mut state.expiration, expired, swings);
         let believed = !state.is_flow_doubted() && state.unresponsive.is_none();
         if self.pressure.is_sustained(&state.pressure) && believed && state.volumes.are_blocked() {
             self.report(state, Fault::SustainedPressure);
+        }
+    }
+
+    /// Tells the monitors of the baseline that the settings have changed, if it concerns them.
+    fn settings_changed(state: &mut SupervisorState, before: &Settings, now: &Settings) {
+        if moves_breaths(before, now) {
+            state.breath.settings_changed(before.peep);
+        }
+        if moves_peep(before, now) {
+            state.expiration.peep_changed(now.peep - before.peep);
         }
     }
 

@@ -59,6 +59,12 @@ impl<const N: usize> Windows<N> {
         self.last
     }
 
+    /// Falls from the last whole window but one to the last; none without both.
+    pub fn fall(&self) -> Option<[f32; N]> {
+        let (before, last) = (self.before?, self.last?);
+        Some(core::array::from_fn(|n| before[n] - last[n]))
+    }
+
     /// Means over the last whole window but one.
     pub fn before(&self) -> Option<[f32; N]> {
         self.before
@@ -88,6 +94,7 @@ mod tests {
     fn the_last_window_ends_when_the_next_breath_is_due() {
         let windows = until(&paper(), 3000, |tick| Some(tick as f32));
         assert_eq!((windows.last(), windows.before()), (Some([2974.5]), Some([2924.5])));
+        assert_eq!((windows.fall(), until(&paper(), 1099, |_| Some(1.0)).fall()), (Some([-50.0]), None));
     }
 
     #[test]

@@ -14,7 +14,9 @@ use shared::safety::volumes::{self, MEASURED};
 use shared::safety::{
     breath_monitor as breath, expiration, flow_monitor, lung_estimator as lung, pressure_monitor as pressure,
 };
-use shared::safety::{reading_monitor as reading, standing, supervisor, volume_monitor as volume};
+use shared::safety::{
+    reading_monitor as reading, reference_volume as reference, standing, supervisor, volume_monitor as volume,
+};
 
 /// An alarm, the condition that begins it and the event that ends it.
 type Conditions = (Fault, String, String);
@@ -38,8 +40,8 @@ pub fn table() -> String {
 }
 
 fn conditions() -> Vec<Conditions> {
-    [sensors(), responses(), limits(), baselines(), inspirations(), ladder(), device(), gas(), volumes()]
-        .concat()
+    let about_gas = [gas(), volumes(), references()].concat();
+    [sensors(), responses(), limits(), baselines(), inspirations(), ladder(), device(), about_gas].concat()
 }
 
 fn clean_breaths() -> String {
@@ -340,6 +342,30 @@ fn gas() -> Vec<Conditions> {
             ),
         ),
     ]
+}
+
+/// Volumes that have fallen below what they were.
+fn references() -> Vec<Conditions> {
+    let ((breaths, seconds), falls) = (reference::GROUP, percent(reference::FALLS));
+    let fall = format!(
+        "for {} s the largest of {breaths} breaths in a row, or of the breaths of {} s if these are more, is less \
+         than {falls} % of what the smallest such group of earlier minutes lets expect; one group is enough if \
+         it is less than {} %",
+        number(reference::LASTS),
+        number(seconds),
+        percent(reference::LOST)
+    );
+    let lost = format!(
+        "less than {} % of that in {} such groups in a row, or less than {falls} % for {} s",
+        percent(reference::LOST),
+        reference::LOST_GROUPS,
+        number(reference::PERSISTS)
+    );
+    let exit = format!(
+        "a larger breath in a group, or after {} s, from when on these volumes are the expected ones",
+        number(reference::ADOPTED)
+    );
+    vec![(Fault::VentilationFalls, fall, exit.clone()), (Fault::VentilationLost, lost, exit)]
 }
 
 /// Volumes outside their limits.

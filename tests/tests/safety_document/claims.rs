@@ -20,9 +20,8 @@ use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS};
 use shared::safety::plateau::{DOUBTFUL, TUBE};
 use shared::safety::supervisor::{EFFORT, RESIDUAL_SLEW};
-use shared::safety::{
-    backup, breath_monitor, expected, expiration, flow_monitor, lung_estimator, pressure_monitor,
-};
+use shared::safety::{backup, expected, expiration, flow_monitor, lung_estimator, pressure_monitor};
+use shared::safety::{reference_volume, settling};
 use shared::settings::{LIMIT_MARGIN, Settings};
 use shared::timing::{LEASE_S, WATCHDOG_MAX_US, WATCHDOG_US};
 use shared::trigger;
@@ -151,7 +150,10 @@ fn sensors() -> Vec<Claim> {
         says("little gas ({} mL of the valve's model", [number(flow_monitor::TELLING)]),
         says("holds it up (a command of at most {} %)", [number(expiration::BOUND)]),
         says("in advance, with a command of at most {} %", [number(expiration::LEAK_BOUND)]),
-        says("After a change of the settings {} breaths", [number(breath_monitor::UNCHECKED_BREATHS)]),
+        says("groups of {} breaths or more are compared", [number(reference_volume::GROUP.0)]),
+        says("the last {} s do not count", [number(reference_volume::SPAN)]),
+        says("an inspiratory time that changes by more than {} %", [percent(settling::NEW_BREATH)]),
+        says("before the settings have rested for {} breaths", [number(settling::RESTED_BREATHS)]),
     ]
 }
 
@@ -159,10 +161,7 @@ fn sensors() -> Vec<Claim> {
 fn alarms() -> Vec<Claim> {
     vec![
         says("when it begins, and every {} s until it is acknowledged", [number(REPEAT_TIME)]),
-        says(
-            "monitors that compare breaths wait for {} of them",
-            [number(breath_monitor::UNCHECKED_BREATHS)],
-        ),
+        says("monitors of the baseline wait for {} breaths", [number(settling::UNCHECKED_BREATHS)]),
         says("lease lapses {} s after the last request", [number(LEASE_S)]),
     ]
 }

@@ -4,8 +4,8 @@
 //! reads the pressure through a sensor with an offset, and its alarms must be judged by what they can know. Low-priority
 //! alarms are only counted.
 //!
-//! Alarms about a breath's shape (baseline, low pressure, occlusion, leak) are never deserved in the first two breaths after a
-//! change of the settings.
+//! Alarms about a breath's shape (baseline, low pressure, occlusion, a share of the gas that is lost) are never deserved in the
+//! first two breaths after a change of the settings.
 
 use shared::safety::alarms::{Fault, Priority};
 use shared::settings::Settings;
@@ -49,6 +49,12 @@ pub const VOLUME_TOLERANCE: f64 = 0.1;
 /// Time without a breath after which apnoea is due, s.
 const APNOEA_S: f64 = 19.0;
 
+/// Shares of the usual volume below which breaths are much smaller and a fraction, and the time after which the first is as
+/// urgent, s.
+const FALLS: f64 = 0.67;
+const LOST: f64 = 0.5;
+const PERSISTS_S: f64 = 50.0;
+
 /// Judgement of an alarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -88,20 +94,29 @@ fn deserved(fault: Fault, history: &History) -> bool {
         Fault::NoResponse => any(history, unresponsive),
         Fault::SensorsDisagree => any(history, sensors_disagree),
         Fault::BackupVentilation => any(history, |breath| unsound(&breath.airway) && unsound(&breath.outlet)),
-        Fault::Leak => twice(history, leak),
+        Fault::Leak => {
+            // What the leak lets through at PEEP does not depend on the breath.
+            let flows = |breath: &&BreathTruth| breath.leak * (breath.peep() / 30.0).sqrt() > LEAK_FLOW;
+            twice(history, leak) || history.window().filter(flows).count() >= 2
+        }
+        // Each breath has the limits that were in force with it.
         Fault::TidalVolumeLow => {
-            twice(history, |breath| breath.ended && below(breath.expired, breath.settings.tidal_volume_low))
+            twice_ended(history, |breath| below(breath.expired, breath.settings.tidal_volume_low))
         }
         Fault::TidalVolumeHigh => {
-            twice(history, |breath| above(breath.expired, breath.settings.tidal_volume_high))
+            twice_ended(history, |breath| above(breath.expired, breath.settings.tidal_volume_high))
         }
         Fault::MinuteVolumeLow => any(history, |breath| {
-            breath.minute_volume.is_some_and(|volume| below(volume, breath.settings.minute_volume_low))
+            breath.minute_volume.is_some_and(|volume| below(volume, breath.minute_limits.0))
         }),
         Fault::MinuteVolumeHigh => any(history, |breath| {
-            breath.minute_volume.is_some_and(|volume| above(volume, breath.settings.minute_volume_high))
+            breath.minute_volume.is_some_and(|volume| above(volume, breath.minute_limits.1))
         }),
         Fault::Apnoea => any(history, |breath| breath.without_s >= APNOEA_S),
+        Fault::VentilationFalls => twice_ended(history, |breath| smaller(breath, FALLS)),
+        Fault::VentilationLost => twice_ended(history, |breath| {
+            smaller(breath, LOST) || (smaller(breath, FALLS) && breath.small_s >= PERSISTS_S)
+        }),
         // The bench neither misses ticks nor resets the device; the others have a low priority.
         Fault::MissedTicks
         | Fault::Restarted
@@ -116,6 +131,11 @@ fn deserved(fault: Fault, history: &History) -> bool {
 /// Whether this holds in the running breath or the two before it.
 fn any(history: &History, holds: impl Fn(&BreathTruth) -> bool) -> bool {
     history.window().any(holds)
+}
+
+/// Whether this holds in two of these breaths that have ended, whatever their settings.
+fn twice_ended(history: &History, holds: impl Fn(&BreathTruth) -> bool) -> bool {
+    history.window().filter(|breath| breath.ended && holds(breath)).count() >= 2
 }
 
 /// Whether this holds in two of these breaths, with settings that are not new: these alarms need several breaths.
@@ -203,6 +223,12 @@ fn sensors_disagree(breath: &BreathTruth) -> bool {
 /// A leak that takes considerable flow at PEEP, or much of the gas.
 fn leak(breath: &BreathTruth) -> bool {
     breath.leak_at_end > LEAK_FLOW || breath.leak_share > LEAK_SHARE
+}
+
+/// Whether a breath has less than a share of what the patient had in the minutes before.
+fn smaller(breath: &BreathTruth, share: f64) -> bool {
+    let volume = breath.expired.max(0.5 * (breath.inspired + breath.expired));
+    breath.usual.is_some_and(|usual| volume < share * (1.0 + VOLUME_TOLERANCE) * usual)
 }
 
 /// Whether a volume is below its limit.

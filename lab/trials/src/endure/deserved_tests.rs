@@ -123,23 +123,46 @@ fn an_occluded_tube() {
 
 #[test]
 fn volumes_outside_their_limits() {
-    deserved_twice(Fault::TidalVolumeLow, |breath| breath.expired = 320.0);
+    deserved_once(Fault::MinuteVolumeLow, |breath| breath.minute_limits.0 = 8.0);
+    // Each breath has limits of its own, so that no change of the settings excuses one.
+    let small = with(|breath| (breath.expired, breath.settled) = (320.0, false));
+    assert_eq!(verdicts(Fault::TidalVolumeLow, &small), (false, true));
     undeserved(Fault::TidalVolumeLow, |breath| breath.expired = 340.0);
     undeserved(Fault::TidalVolumeLow, |breath| (breath.ended, breath.expired) = (false, 0.0));
-    deserved_twice(Fault::TidalVolumeHigh, |breath| breath.expired = 460.0);
+    let large = with(|breath| (breath.expired, breath.settled) = (460.0, false));
+    assert_eq!(verdicts(Fault::TidalVolumeHigh, &large), (false, true));
     undeserved(Fault::TidalVolumeHigh, |breath| breath.expired = 440.0);
     deserved_once(Fault::MinuteVolumeLow, |breath| breath.minute_volume = Some(6.5));
     undeserved(Fault::MinuteVolumeLow, |breath| breath.minute_volume = Some(6.7));
     deserved_once(Fault::MinuteVolumeHigh, |breath| breath.minute_volume = Some(9.1));
     undeserved(Fault::MinuteVolumeHigh, |breath| breath.minute_volume = Some(8.9));
     let off = |breath: &mut BreathTruth| {
-        breath.settings = Settings::default();
+        (breath.settings, breath.minute_limits) = (Settings::default(), (0.0, 0.0));
         (breath.expired, breath.minute_volume) = (4000.0, Some(80.0));
     };
     undeserved(Fault::TidalVolumeHigh, off);
     undeserved(Fault::MinuteVolumeHigh, off);
     deserved_once(Fault::Apnoea, |breath| breath.without_s = 20.0);
     undeserved(Fault::Apnoea, |breath| breath.without_s = 18.0);
+}
+
+#[test]
+fn volumes_that_are_smaller_than_the_usual_ones() {
+    let verdicts = |fault: Fault, volume: f64, small_s: f64| {
+        verdicts(
+            fault,
+            &with(|breath| {
+                (breath.inspired, breath.expired, breath.usual) = (volume, volume, Some(400.0));
+                breath.small_s = small_s;
+            }),
+        )
+    };
+    let [falls, lost] = [Fault::VentilationFalls, Fault::VentilationLost];
+    assert_eq!((verdicts(falls, 290.0, 9.0), verdicts(falls, 300.0, 9.0)), ((false, true), (false, false)));
+    assert_eq!((verdicts(lost, 210.0, 9.0), verdicts(lost, 230.0, 9.0)), ((false, true), (false, false)));
+    assert_eq!((verdicts(lost, 290.0, 50.0), verdicts(lost, 290.0, 49.0)), ((false, true), (false, false)));
+    // Of the usual volume nothing is known at first.
+    undeserved(falls, |breath| (breath.inspired, breath.expired) = (0.0, 0.0));
 }
 
 #[test]

@@ -76,8 +76,8 @@ impl Condition {
             Self::AboveLimit => breath.peak > breath.limit() + ABOVE_LIMIT,
             Self::TidalVolumeLow => low(breath.expired, settings.tidal_volume_low),
             Self::TidalVolumeHigh => high(breath.expired, settings.tidal_volume_high),
-            Self::MinuteVolumeLow => minute.is_some_and(|volume| low(volume, settings.minute_volume_low)),
-            Self::MinuteVolumeHigh => minute.is_some_and(|volume| high(volume, settings.minute_volume_high)),
+            Self::MinuteVolumeLow => minute.is_some_and(|volume| low(volume, breath.minute_limits.0)),
+            Self::MinuteVolumeHigh => minute.is_some_and(|volume| high(volume, breath.minute_limits.1)),
             Self::Apnoea => breath.without_s >= APNOEA_S,
         }
     }
@@ -146,7 +146,12 @@ mod tests {
     use shared::settings::Settings;
 
     fn sound() -> BreathTruth {
-        let mut breath = BreathTruth::new(&Settings::default(), true);
+        limited(&Settings::default())
+    }
+
+    /// A sound breath with these settings.
+    fn limited(settings: &Settings) -> BreathTruth {
+        let mut breath = BreathTruth::new(settings, true);
         (breath.peak, breath.baseline, breath.leak) = (25.0, Some(5.0), 0.1);
         breath
     }
@@ -171,7 +176,7 @@ mod tests {
             ..Settings::default()
         };
         let volumes =
-            |tidal, minute| BreathTruth { settings, expired: tidal, minute_volume: Some(minute), ..sound() };
+            |tidal, minute| BreathTruth { expired: tidal, minute_volume: Some(minute), ..limited(&settings) };
         assert_eq!(missed(&volumes(400.0, 8.0), &[], 5 * LASTS), []);
         let apnoea = BreathTruth { without_s: 31.0, ..sound() };
         for (breath, condition, alarm) in [

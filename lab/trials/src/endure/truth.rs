@@ -60,10 +60,16 @@ pub struct BreathTruth {
     pub inspired: f64,
     /// See `inspired`.
     pub expired: f64,
-    /// Expired minute volume, averaged over 30 s, once the breath has ended, L/min; none in the first 30 s with these settings.
+    /// Expired minute volume, averaged over 30 s, once the breath has ended, L/min; none in the first 30 s.
     pub minute_volume: Option<f64>,
+    /// Its limits, averaged likewise.
+    pub minute_limits: (f32, f32),
     /// Time without a breath that got through, once the breath has ended, s.
     pub without_s: f64,
+    /// Volume that the breaths of the minutes before let expect, once the breath has ended, mL.
+    pub usual: Option<f64>,
+    /// Time for which breaths have been smaller than two thirds of that, once it has ended, s.
+    pub small_s: f64,
     /// Longest time in which the valve was asked for much gas and gave none, ms.
     pub starved_ms: u32,
     /// The sensor at the airway.
@@ -131,7 +137,10 @@ impl BreathTruth {
             inspired: 0.0,
             expired: 0.0,
             minute_volume: None,
+            minute_limits: (settings.minute_volume_low, settings.minute_volume_high),
             without_s: 0.0,
+            usual: None,
+            small_s: 0.0,
             starved_ms: 0,
             airway: SensorTruth::default(),
             outlet: SensorTruth::default(),
@@ -216,11 +225,63 @@ pub struct Moment<'a> {
     pub total: u32,
 }
 
+/// The breaths of the last minutes, the oldest first.
+#[derive(Clone, Debug, Default)]
+struct Usual {
+    breaths: VecDeque<UsualBreath>,
+    time_s: f64,
+    small_s: f64,
+}
+
+/// A breath that has ended: when, s, its volume, mL, and its settings.
+#[derive(Clone, Copy, Debug)]
+struct UsualBreath {
+    at_s: f64,
+    volume: f64,
+    settings: Settings,
+}
+
+impl UsualBreath {
+    /// The least that the same lung takes at other settings, mL.
+    fn at(&self, settings: &Settings) -> f64 {
+        let filling = |of: &Settings| of.inspiratory_time - 0.5 * of.rise_time;
+        let emptying = |of: &Settings| 60.0 / of.rate - of.inspiratory_time;
+        let rise = |of: &Settings| of.pip - of.peep;
+        let ratio = |of: fn(&Settings) -> f32| f64::from(of(settings) / of(&self.settings)).min(1.0);
+        self.volume * ratio(rise) * ratio(filling) * ratio(emptying)
+    }
+}
+
+impl Usual {
+    /// Adds a breath of a length, s.
+    fn add(&mut self, breath: &mut BreathTruth, seconds: f64) {
+        self.time_s += seconds;
+        let now = self.time_s;
+        self.breaths.retain(|earlier| now - earlier.at_s <= USUAL_S.1);
+        let earlier = self.breaths.iter().filter(|earlier| now - earlier.at_s >= USUAL_S.0);
+        let mut volumes: Vec<_> = earlier.map(|earlier| earlier.at(&breath.settings)).collect();
+        volumes.sort_by(f64::total_cmp);
+        breath.usual = volumes.get(volumes.len() / 2).copied();
+        let volume = 0.5 * (breath.inspired + breath.expired);
+        let small = breath.usual.is_some_and(|usual| volume < SMALL * usual);
+        self.small_s = if small { self.small_s + seconds } else { 0.0 };
+        breath.small_s = self.small_s;
+        self.breaths.push_back(UsualBreath { at_s: now, volume, settings: breath.settings });
+    }
+}
+
+/// Age of the breaths that are the usual ones, s.
+const USUAL_S: (f64, f64) = (20.0, 240.0);
+/// Share of a usual volume that is small, with the flow sensor's tolerance.
+const SMALL: f64 = 0.75;
+
 /// Volumes over many breaths.
 #[derive(Clone, Copy, Debug, Default)]
 struct Volumes {
-    /// Mean minute volume with the present settings, L/min, and the time that it covers, s.
+    /// Mean minute volume and its limits, L/min, and the time that it covers, s.
     minute: f64,
+    low: f64,
+    high: f64,
     covers_s: f64,
     /// Time since the last breath that got through, s.
     without_s: f64,
@@ -230,8 +291,11 @@ impl Volumes {
     fn add(&mut self, breath: &BreathTruth) {
         let seconds = 1e-3 * f64::from(breath.sums.ticks);
         self.covers_s = (self.covers_s + seconds).min(AVERAGED_S);
+        let weight = seconds / self.covers_s;
         // From mL/s to L/min.
-        self.minute += seconds / self.covers_s * (0.06 * breath.expired / seconds - self.minute);
+        self.minute += weight * (0.06 * breath.expired / seconds - self.minute);
+        self.low += weight * (f64::from(breath.settings.minute_volume_low) - self.low);
+        self.high += weight * (f64::from(breath.settings.minute_volume_high) - self.high);
         self.without_s =
             if breath.inspired.min(breath.expired) >= DELIVERED_ML { 0.0 } else { self.without_s + seconds };
     }
@@ -245,6 +309,7 @@ pub struct History {
     unchanged: u32,
     away_ms: u32,
     volumes: Volumes,
+    usual: Usual,
     /// The patient's own resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
     lung: (f64, f64),
     /// The outlet sensor's lag per tick, its tube, and the pressure behind the lag.
@@ -270,6 +335,7 @@ impl History {
             unchanged: 0,
             away_ms: 0,
             volumes: Volumes::default(),
+            usual: Usual::default(),
             lung: (lung.resistance_cmh2o_per_l_s, lung.compliance_ml_per_cmh2o),
             outlet_share: if outlet.lag_ms > 0.0 { 1.0 - (-1.0 / outlet.lag_ms).exp() } else { 1.0 },
             tube: outlet.tube_resistance_cmh2o_per_l_s,
@@ -282,7 +348,18 @@ impl History {
     pub fn of(breaths: Vec<BreathTruth>, lung: (f64, f64)) -> Self {
         let breaths = VecDeque::from(breaths);
         let volumes = Volumes::default();
-        Self { breaths, unchanged: 9, away_ms: 0, volumes, lung, outlet_share: 1.0, tube: 0.0, outlet: 0.0 }
+        let usual = Usual::default();
+        Self {
+            breaths,
+            unchanged: 9,
+            away_ms: 0,
+            volumes,
+            usual,
+            lung,
+            outlet_share: 1.0,
+            tube: 0.0,
+            outlet: 0.0,
+        }
     }
 
     /// Starts a breath.
@@ -298,10 +375,9 @@ impl History {
     /// Adds the running breath to the minute volumes and to the time without a breath.
     fn end_breath(&mut self) {
         let Some(ended) = self.breaths.back_mut().filter(|breath| breath.sums.ticks > 0) else { return };
-        if self.unchanged == 0 {
-            self.volumes.covers_s = 0.0;
-        }
         self.volumes.add(ended);
+        ended.minute_limits = (self.volumes.low as f32, self.volumes.high as f32);
+        self.usual.add(ended, 1e-3 * f64::from(ended.sums.ticks));
         ended.ended = true;
         ended.minute_volume = (self.volumes.covers_s >= AVERAGED_S).then_some(self.volumes.minute);
         ended.without_s = self.volumes.without_s;

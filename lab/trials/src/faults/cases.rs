@@ -49,6 +49,12 @@ const WATCHED_MS: u32 = 21_000;
 /// The same for an apnoea, and for a minute volume.
 const APNOEA_MS: u32 = 33_000;
 const MINUTE_MS: u32 = 75_000;
+/// In the middle of an inspiration that ten others precede, ms: what the patient usually gets is known.
+const KNOWN_MS: u32 = 10 * BREATH_MS + 400;
+/// Duration of a trial whose patient gets less than he did, ms.
+const LESS_MS: u32 = 45_000;
+/// Longest time constant of a lung that loses volume when it stiffens, s: a slower one fills the better.
+const QUICK_LUNG: f64 = 1.0;
 /// Time for which the patient of a row is disconnected, ms.
 const DISCONNECTED_MS: u32 = 5000;
 
@@ -87,8 +93,9 @@ pub struct FaultCase {
     pub least_share: f64,
     /// Alarm limits of the volumes.
     limits: VolumeLimits,
-    /// Lowest resistance of a lung with which the fault is possible, cmH2O/(L/s).
+    /// Lowest resistance of a lung with which the fault is possible, cmH2O/(L/s), and its longest time constant, s.
     least_resistance: f64,
+    longest_time_constant: f64,
 }
 
 /// Ventilation that a row requires after its fault.
@@ -174,6 +181,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         least_share: VOLUME_SHARE,
         limits: NO_LIMITS,
         least_resistance: 0.0,
+        longest_time_constant: f64::INFINITY,
     }
 }
 
@@ -216,7 +224,9 @@ impl FaultCase {
 
     /// Whether the fault is possible with a lung.
     pub(super) fn is_possible(&self, lung: &BenchConfig) -> bool {
-        lung.lung.first.resistance_cmh2o_per_l_s >= self.least_resistance
+        let (resistance, compliance) =
+            (lung.lung.first.resistance_cmh2o_per_l_s, lung.lung.first.compliance_ml_per_cmh2o);
+        resistance >= self.least_resistance && 1e-3 * resistance * compliance <= self.longest_time_constant
     }
 
     /// The lung with the patient of this row.
@@ -277,6 +287,11 @@ impl FaultCase {
     /// nothing is slow.
     const fn with_resistance(self, least_resistance: f64) -> Self {
         Self { least_resistance, ..self }
+    }
+
+    /// Leaves out lungs with a longer time constant, s: they take nearly as much as before.
+    const fn with_time_constant(self, longest_time_constant: f64) -> Self {
+        Self { longest_time_constant, ..self }
     }
 
     /// Requires this share of the volume.
@@ -379,6 +394,15 @@ const MACHINE: [FaultCase; 18] = [
     )
     .at(BEFORE_MS)
     .not_ventilated(),
+    part(
+        "tube narrowed, eight times the resistance",
+        Failure::TubeNarrowed(8.0),
+        &[Fault::VentilationFalls, Fault::VentilationLost],
+    )
+    .with_resistance(20.0)
+    .at(KNOWN_MS)
+    .watched(LESS_MS)
+    .not_ventilated(),
     stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]).not_ventilated(),
     part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]).not_ventilated(),
     // Full ventilation within one breath of the reconnection.
@@ -422,7 +446,7 @@ const MACHINE: [FaultCase; 18] = [
 ];
 
 /// Patients who breathe or cough, lungs and settings that change: no fault of the machine's.
-const PATIENT: [FaultCase; 15] = [
+const PATIENT: [FaultCase; 17] = [
     case("cough in every breath", Coughs(25.0), &[])
         .by("the breath is cut at the limit; a cough is no strike")
         .with(tight),
@@ -452,22 +476,33 @@ const PATIENT: [FaultCase; 15] = [
     .by("an effort starts the breath")
     .quietly(),
     case("inspiration shortened from 1.5 to 0.4 s", NewTiming(20.0, 0.4), &[])
-        .by("two breaths are not compared with those before")
+        .by("breaths are compared with what the new times leave of the volume")
         .with(long_inspiration)
         .with_resistance(50.0)
         .quietly(),
     case("inspiration lengthened from 1 to 1.5 s", NewTiming(20.0, 1.5), &[])
-        .by("two breaths are not compared with those before")
+        .by("breaths are compared with what the new times leave of the volume")
         .with_resistance(50.0)
         .quietly(),
     case("rate raised from 12 to 30 a minute", NewTiming(30.0, 0.7), &[])
-        .by("two breaths are not compared with those before")
+        .by("breaths are compared with what the new times leave of the volume")
         .with(twelve_a_minute)
         .with_resistance(50.0)
         .quietly(),
     case("lung stiffens and its airways narrow", NewLung(2.0, 0.4), &[Fault::TidalVolumeLow])
         .with_tidal_limits(0.7, 0.0)
         .with_share(SHARE_OF_STIFF_LUNG),
+    // Without an alarm limit.
+    case("airways narrow to five times their resistance", NewLung(5.0, 1.0), &[Fault::VentilationFalls])
+        .with_resistance(20.0)
+        .at(KNOWN_MS)
+        .watched(LESS_MS)
+        .not_ventilated(),
+    case("lung loses seven tenths of its compliance", NewLung(1.0, 0.3), &[Fault::VentilationFalls])
+        .with_time_constant(QUICK_LUNG)
+        .at(KNOWN_MS)
+        .watched(LESS_MS)
+        .not_ventilated(),
     case("lung becomes softer", NewLung(0.5, 2.0), &[Fault::TidalVolumeHigh])
         .with(gentle)
         .with_tidal_limits(0.0, 1.4),
