@@ -380,7 +380,7 @@ const SENSOR: [FaultCase; 23] = [
 ];
 
 /// Faults of machine and breathing circuit.
-const MACHINE: [FaultCase; 18] = [
+const MACHINE: [FaultCase; 19] = [
     part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS).not_ventilated(),
     part("tube occluded for half a minute", Failure::TubeOccluded, &[Fault::Apnoea])
         .at(BEFORE_MS)
