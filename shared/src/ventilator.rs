@@ -344,7 +344,7 @@ impl<C: ControlLaw> Ventilator<C> {
     /// Ends a tick of a breath.
     fn end_tick(&self, state: &mut VentilatorState<C::State>, belief: &Belief, sign: Option<Sign>) {
         let sign = sign.filter(|_| state.number >= FIRST_BREATHS);
-        let effort = sign.is_some_and(|sign| !state.supervisor.leak_explains(sign, belief));
+        let effort = sign.is_some_and(|sign| !state.supervisor.leak_explains(sign == Sign::Pressure, belief));
         state.tick += 1;
         if self.supervisor.end_tick(&mut state.supervisor, &belief.moment, effort) {
             state.tick = 0;

@@ -195,17 +195,10 @@ fn monitors(counting: &Cost) {
         before = plant.pressure();
         let base = if inspires { math::limit(20.0 + 5.0 * asked, 0.0, 90.0) } else { 0.0 };
         let wanted = ControlOutput { base, command: base + 1.0 };
-        let before_worst = core::mem::take(&mut cost.worst);
-        let mut one = before_worst;
         let command = cost.of(|| {
             let belief = supervisor.check(&mut state, black_box(&readings), breath.at(tick))?;
             Some(supervisor.command(&mut state, &belief, black_box(wanted), !inspires))
         });
-        if cost.worst > 1950 {
-            hprintln!("tick{} {} {}", tick, cost.worst, cost.worst);
-        }
-        one = one.max(cost.worst);
-        cost.worst = one;
         let Some(command) = command else { unreachable!("the plant of the golden traces raises no alarm") };
         plant.step(command.u_in(), command.u_out());
     }

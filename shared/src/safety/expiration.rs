@@ -9,7 +9,7 @@
 //!   judged by what it was before the effort.
 
 use super::breath_monitor::ABOVE_PEEP;
-use super::leak::{Leak, Loss};
+use super::leak::{KNOWN_LEAK, Leak, Loss};
 use super::lung_estimator::command_for;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::responses::{Response, Responses};
@@ -33,8 +33,7 @@ pub const LEAK_BOUND: f32 = 80.0;
 /// 1.6 L/s at 30 cmH2O. Between them the flow fades.
 const LARGE_LEAK: f32 = 0.2;
 const OPEN_TUBE: f32 = 0.3;
-/// Flow of a leak at PEEP from which it is made up for in advance, and the flow beyond it that keeps the PEEP valve open, L/s.
-pub const KNOWN_LEAK: f32 = 0.015;
+/// Flow beyond that of a known leak that keeps the PEEP valve open, L/s.
 const SURPLUS: f32 = 0.02;
 /// Share of a leak's flow by which a valve may give too little.
 const SPREAD: f32 = 0.2;

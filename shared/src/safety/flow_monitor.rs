@@ -12,6 +12,7 @@
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row};
 use crate::breath::period_s;
+use core::cmp::Ordering;
 
 /// Lowest and highest share of the usual volume per gas of the valve that a sound sensor shows.
 pub const GAIN: (f32, f32) = (0.5, 2.0);
@@ -38,6 +39,9 @@ const CIRCUIT: f32 = 2.0;
 pub const TELLING: f32 = 60.0;
 /// Factor on the valve's gas within which breaths are compared: its curve differs from the model's.
 const SIMILAR: f32 = 1.5;
+/// Inspirations in a row after which a sensor hides gas that shows more than the valve's model: a valve that is stuck open gives
+/// more, too. One that shows far less hides it at once.
+const HIDES: u32 = 2;
 /// Breaths in a row with another gas and another share of it that become the usual ones.
 const UNLIKE: u32 = 5;
 /// Share of the readings that repeat the one before, up to which a sensor has noise.
@@ -126,6 +130,10 @@ pub struct FlowMonitor {
 pub struct FlowState {
     running: Sums,
     last: Sums,
+    /// Mean flow of the last breath, L/s.
+    mean: f32,
+    /// Inspirations in a row in which the sensor did not show the gas of the valve's model.
+    hides: u32,
     usual: Option<Usual>,
     /// Whether noise has changed nearly every reading of a sound breath.
     noisy: bool,
@@ -171,6 +179,11 @@ impl Sums {
             / (self.ticks[REST] + self.ticks[INSPIRATION]).max(1) as f32
     }
 
+    /// Volume of the inspiration beyond that of a constant flow, L/s, in ticks of `period` seconds; mL.
+    fn beyond(&self, flow: f32, period: f32) -> f32 {
+        1000.0 * period * (self.sensor[INSPIRATION] - flow * self.ticks[INSPIRATION] as f32)
+    }
+
     fn gas(&self, period: f32) -> Gas {
         let volume = |flow: f32| 1000.0 * period * flow;
         let [rest, inspiration] = self.ticks.map(|ticks| ticks as f32 * period);
@@ -179,7 +192,7 @@ impl Sums {
         Gas {
             inspired,
             net: inspired + volume(self.sensor[REST]),
-            swing: inspired - 1000.0 * self.mean() * inspiration,
+            swing: self.beyond(self.mean(), period),
             valve,
             given: valve + volume(self.valve[REST]),
             seconds: rest + inspiration,
@@ -267,7 +280,7 @@ impl FlowMonitor {
 
     /// Swing of the last breath, mL.
     pub fn swing(&self, state: &FlowState) -> f32 {
-        state.last.gas(self.period).swing
+        state.last.beyond(state.mean, self.period)
     }
 
     /// Length of the last expiration, s.
@@ -286,6 +299,7 @@ impl FlowState {
     pub fn start_breath(&mut self) {
         self.last = core::mem::take(&mut self.running);
         self.running.latest = self.last.latest;
+        self.mean = self.last.mean();
     }
 
     /// Adds the flow of a tick by the sensor and by the valve's model, L/s; NaN without a reading. `inspires`: the expiratory valve is
@@ -296,6 +310,20 @@ impl FlowState {
         if !sensor.is_nan() {
             self.running.add(sensor, valve, usize::from(inspires));
         }
+    }
+
+    /// Ends an inspiration in which the sensor has shown the gas of the valve's model, or far less or more.
+    pub fn inspired(&mut self, shown: Ordering) {
+        self.hides = match shown {
+            Ordering::Less => HIDES,
+            _ => in_a_row(self.hides, shown == Ordering::Greater),
+        };
+    }
+
+    /// Whether the sensor, by the last inspirations alone, does not show the gas that the valve gives. Before a fault is latched, this
+    /// short memory counts: one breath may decide.
+    pub fn hides_gas(&self) -> bool {
+        self.hides >= HIDES
     }
 
     /// Takes note of the rise at the end of a good inspiration, cmH2O.
@@ -315,8 +343,7 @@ impl FlowState {
 
     /// Volume that has reached the patient in the running inspiration, mL, if the mean flow of the last breath was an offset or a leak.
     pub fn reached(&self, period: f32) -> f32 {
-        let Sums { sensor, ticks, .. } = self.running;
-        1000.0 * period * (sensor[INSPIRATION] - self.last.mean() * ticks[INSPIRATION] as f32)
+        self.running.beyond(self.mean, period)
     }
 
     /// What the last breath says.
@@ -424,277 +451,4 @@ impl FlowState {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Ticks of 10 ms, with 1 s of inspiration and 2 s of expiration.
-    const PERIOD_US: u32 = 10_000;
-    const TICKS: (u32, u32) = (100, 200);
-    /// Rise of the breaths, cmH2O.
-    const RISE: f32 = 20.0;
-
-    /// A sensor, a valve and a lung that gives out in 2 s what it has taken in.
-    struct Run {
-        monitor: FlowMonitor,
-        state: FlowState,
-        /// Flow of the valve in inspirations by its model, and what the lung gets of it, L/s.
-        valve: f32,
-        lung: f32,
-        /// Leak in inspirations and expirations, L/s, which the valve makes up for.
-        leak: (f32, f32),
-        rise: Option<f32>,
-    }
-
-    impl Run {
-        fn new() -> Self {
-            let monitor = FlowMonitor::new(PERIOD_US, Monitors::ALL);
-            Self {
-                monitor,
-                state: FlowState::default(),
-                valve: 0.43,
-                lung: 0.4,
-                leak: (0.0, 0.0),
-                rise: Some(RISE),
-            }
-        }
-
-        /// A breath that the sensor shows in its way, from the true flow, L/s; what is found.
-        fn breath(&mut self, sensor: impl Fn(f32) -> f32) -> Option<Fault> {
-            for tick in 0..TICKS.0 + TICKS.1 {
-                let inspires = tick < TICKS.0;
-                let (flow, valve) = if inspires {
-                    (self.lung + self.leak.0, self.valve + self.leak.0)
-                } else {
-                    (self.leak.1 - 0.5 * self.lung, self.leak.1 + 0.02)
-                };
-                let noise = 0.002 * ((tick * 7 % 5) as f32 - 2.0);
-                self.state.add(sensor(flow + noise), valve, inspires);
-            }
-            if let Some(rise) = self.rise {
-                self.state.rose(rise);
-            }
-            self.state.start_breath();
-            self.monitor.judge(&mut self.state, self.rise.is_none())
-        }
-
-        /// The number of breaths until the sensor is out of use, of at most 20.
-        fn lost_after(&mut self, sensor: impl Fn(f32) -> f32) -> Option<usize> {
-            (1..=20).find(|_| self.breath(&sensor) == Some(Fault::FlowSensorLost))
-        }
-
-        /// A run with some good breaths.
-        fn known() -> Self {
-            let mut run = Self::new();
-            (0..5).for_each(|_| assert_eq!(run.breath(|flow| flow), None));
-            run
-        }
-    }
-
-    /// Noise of a sensor at a constant, L/s, with the true flow's last digits.
-    fn noisy(constant: f32) -> impl Fn(f32) -> f32 {
-        move |flow| constant + 0.004 * ((flow.to_bits() % 64) as f32 / 32.0 - 1.0)
-    }
-
-    #[test]
-    fn a_reading_that_repeats_itself_for_a_breath_is_lost_at_once_at_any_value_but_zero() {
-        for constant in [0.02, 0.1, 0.3, -0.1] {
-            assert_eq!(Run::known().lost_after(|_| constant), Some(1), "{constant} L/s");
-            let mut occluded = Run { valve: 0.04, lung: 0.0, ..Run::known() };
-            assert_eq!(occluded.lost_after(|_| constant), Some(1), "{constant} L/s in an occluded tube");
-        }
-    }
-
-    #[test]
-    fn a_quiet_sensor_may_show_no_flow_in_an_occluded_tube_but_not_while_the_pressure_is_reached() {
-        let coarse = |flow: f32| 0.05 * (20.0 * flow + if flow < 0.0 { -0.5 } else { 0.5 }).trunc();
-        let mut run = Run::new();
-        (0..5).for_each(|_| assert_eq!(run.breath(coarse), None));
-        assert_eq!(Run { valve: 0.04, lung: 0.0, ..run }.lost_after(coarse), None);
-        assert_eq!(run.lost_after(|_| 0.0), Some(2));
-        let mut noisy = Run { valve: 0.04, lung: 0.0, ..Run::known() };
-        assert_eq!(noisy.lost_after(|_| 0.0), Some(1), "it had noise before");
-    }
-
-    #[test]
-    fn a_reading_that_stands_still_with_noise_is_lost_after_two_breaths() {
-        for constant in [0.0, 0.02, 0.1, 0.3, 0.43, -0.1] {
-            assert_eq!(Run::known().lost_after(noisy(constant)), Some(2), "{constant} L/s");
-            assert_eq!(Run::new().lost_after(noisy(constant)), Some(2), "{constant} L/s from the start");
-        }
-    }
-
-    #[test]
-    fn a_reversed_sensor_and_one_far_off_are_lost_after_two_breaths() {
-        for gain in [-1.0, 0.2, 0.4, 2.2, 4.0] {
-            assert_eq!(Run::known().lost_after(|flow| gain * flow), Some(2), "a gain of {gain}");
-        }
-        assert_eq!(Run::new().lost_after(|flow| -flow), Some(2), "from the start");
-        for offset in [-0.3, 0.3, 1.0] {
-            assert_eq!(Run::known().lost_after(|flow| flow + offset), Some(2), "{offset} L/s");
-        }
-    }
-
-    #[test]
-    fn more_gas_out_than_in_is_an_offset_after_five_breaths() {
-        assert_eq!(Run::known().lost_after(|flow| flow - 0.1), Some(5));
-        let mut run = Run::known();
-        // A lung that gives out what it had for a few breaths.
-        for gas in [0.4, 0.3, 0.2, 0.1, 0.0] {
-            assert_eq!(run.breath(|flow| if flow < 0.0 { flow - gas } else { flow }), None);
-        }
-    }
-
-    #[test]
-    fn more_gas_in_than_the_valve_gives_is_an_offset_whatever_the_lung() {
-        let mut small = Run { valve: 0.08, lung: 0.05, ..Run::new() };
-        (0..5).for_each(|_| assert_eq!(small.breath(|flow| flow), None));
-        assert_eq!(small.lost_after(|flow| flow + 0.3), Some(2));
-    }
-
-    #[test]
-    fn gains_and_offsets_of_working_sensors_are_none_of_its_business() {
-        for (gain, offset) in [(0.8, -0.05), (0.8, 0.05), (1.2, -0.05), (1.2, 0.05), (1.0, 0.0)] {
-            let sensor = |flow: f32| gain * flow + offset;
-            assert_eq!(Run::known().lost_after(sensor), None, "{gain}, {offset} L/s");
-            assert_eq!(Run::new().lost_after(sensor), None, "{gain}, {offset} L/s from the start");
-        }
-    }
-
-    #[test]
-    fn a_leak_is_gas_that_the_valve_gives() {
-        // 1 L/s at 30 cmH2O, at a PEEP of 5 and of 15.
-        for (leak, lung) in [((0.9, 0.4), 0.4), ((0.9, 0.7), 0.1), ((0.2, 0.1), 0.4)] {
-            let mut run = Run { lung, leak, ..Run::known() };
-            assert_eq!(run.lost_after(|flow| flow), None, "{leak:?} L/s");
-            assert_eq!(Run { lung, leak, ..Run::new() }.lost_after(|flow| flow), None, "from the start");
-        }
-    }
-
-    #[test]
-    fn a_newborns_machine_gives_a_fifth_of_the_models_gas() {
-        let mut run = Run { valve: 0.2, lung: 0.03, ..Run::new() };
-        assert_eq!(run.lost_after(|flow| flow), None);
-        assert_eq!(run.lost_after(|flow| 0.4 * flow), Some(2));
-    }
-
-    #[test]
-    fn another_lung_is_another_usual_volume() {
-        let mut run = Run { valve: 0.25, lung: 0.15, ..Run::known() };
-        (0..9).for_each(|_| assert_eq!(run.breath(|flow| flow), None));
-        assert_eq!(run.lost_after(|flow| 0.4 * flow), Some(2));
-    }
-
-    #[test]
-    fn a_single_breath_with_another_gas_makes_no_wrong_share_the_usual_one() {
-        for fault in [|flow: f32| 0.4 * flow, |flow: f32| flow + 0.3] {
-            let mut run = Run::known();
-            (run.lung, run.valve) = (0.2, 0.23);
-            run.breath(fault);
-            (run.lung, run.valve) = (0.4, 0.43);
-            assert!(run.lost_after(fault).is_some_and(|breaths| breaths <= 2));
-        }
-    }
-
-    #[test]
-    fn without_its_pressure_a_breath_tells_nothing_of_the_gas() {
-        let mut run = Run::known();
-        for tick in 0..3 * (TICKS.0 + TICKS.1) {
-            // The supply is lost: the valve is open, and nothing comes.
-            let (inspires, noise) = (tick % 300 < TICKS.0, 0.002 * ((tick * 7 % 5) as f32 - 2.0));
-            run.state.add(noise, if inspires { 1.6 } else { 0.0 }, inspires);
-            if tick % 300 == 299 {
-                run.state.start_breath();
-                assert_eq!(run.monitor.judge(&mut run.state, false), None);
-            }
-        }
-    }
-
-    #[test]
-    fn little_gas_tells_nothing() {
-        // 40 mL for the circuit, and 60 more tell.
-        for (valve, lost) in [(0.0999, None), (0.1001, Some(2))] {
-            let mut run = Run { valve, lung: 0.06, ..Run::new() };
-            assert_eq!(run.lost_after(|flow| -flow), lost, "{valve} L/s");
-        }
-    }
-
-    #[test]
-    fn a_lost_sensor_is_used_again_after_five_seconds_of_sound_breaths() {
-        let mut run = Run::known();
-        assert_eq!(run.lost_after(|_| 0.1), Some(1));
-        assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost));
-        assert!(run.state.is_doubtful());
-        assert_eq!((run.breath(|flow| flow), run.state.is_lost()), (None, false));
-        assert_eq!(run.lost_after(noisy(0.1)), Some(2));
-        run.breath(|flow| flow);
-        run.breath(noisy(0.1));
-        assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost), "5 s in a row");
-        assert_eq!(run.breath(|flow| flow), None);
-    }
-
-    #[test]
-    fn a_sensor_that_was_lost_by_its_gas_is_not_found_by_breaths_without_any() {
-        let mut run = Run::known();
-        assert_eq!(run.lost_after(noisy(0.1)), Some(2));
-        let mut occluded = Run { valve: 0.04, lung: 0.0, ..run };
-        for _ in 0..9 {
-            assert_eq!(occluded.breath(noisy(0.1)), Some(Fault::FlowSensorLost));
-        }
-    }
-
-    #[test]
-    fn without_a_pressure_gas_that_does_not_arrive_is_an_occlusion_and_one_that_never_stops_a_lost_sensor() {
-        let mut run = Run { rise: None, ..Run::known() };
-        assert_eq!([run.breath(|flow| flow), run.breath(noisy(0.0))], [None; 2]);
-        assert_eq!(run.breath(noisy(0.0)), Some(Fault::Occlusion));
-        assert_eq!([run.breath(noisy(0.0)), run.breath(|flow| flow)], [Some(Fault::Occlusion), None]);
-        assert_eq!(run.lost_after(noisy(0.3)), Some(2));
-        assert_eq!(Run { rise: None, ..Run::new() }.lost_after(noisy(0.0)), None, "nothing is usual yet");
-    }
-
-    #[test]
-    fn what_a_constant_shows_in_an_inspiration_has_not_reached_the_patient() {
-        let mut run = Run::known();
-        run.breath(|_| 0.3);
-        let reached = |run: &mut Run, flow: f32| {
-            (0..100).for_each(|_| run.state.add(flow, 0.0, true));
-            run.state.reached(0.01)
-        };
-        assert!(reached(&mut run, 0.3).abs() < 0.1);
-        let mut run = Run::known();
-        assert!((reached(&mut run, 0.4) - 400.0).abs() < 2.0);
-    }
-
-    #[test]
-    fn a_swing_has_no_offset_and_is_that_of_the_lung() {
-        let mut run = Run::new();
-        let mut swing = |sensor: &dyn Fn(f32) -> f32| {
-            run.breath(sensor);
-            run.monitor.swing(&run.state)
-        };
-        let found = [swing(&|flow| flow), swing(&|flow| flow + 0.5), swing(&|flow| -flow), swing(&|_| 0.3)];
-        let wanted = [400.0, 400.0, -400.0, 0.0];
-        assert!(found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < 1.0), "{found:?}");
-    }
-
-    #[test]
-    fn missing_readings_are_no_part_of_a_breath() {
-        let mut run = Run::known();
-        assert_eq!(run.lost_after(|_| f32::NAN), None, "another monitor finds that");
-        (0..3).for_each(|_| run.state.add(0.1, 0.0, true));
-        run.state.start_breath();
-        for tick in 0..300 {
-            run.state.add(if tick % 3 == 0 { f32::NAN } else { 0.1 }, 0.0, tick < 100);
-        }
-        run.state.start_breath();
-        assert!(run.state.last.is_frozen(false));
-        assert!((run.monitor.expiration(&run.state) - 2.0).abs() < 1e-4, "with and without a reading");
-    }
-
-    #[test]
-    fn without_its_alarm_the_sensor_is_always_used() {
-        let mut run = Run::known();
-        run.monitor = FlowMonitor::new(PERIOD_US, Monitors::ALL.without(Fault::FlowSensorLost));
-        assert_eq!((run.lost_after(|_| 0.1), run.state.is_lost()), (None, false));
-    }
-}
+mod tests;

@@ -5,6 +5,8 @@
 //! cancel out. A leak that has changed shows in several breaths in a row that all lose more gas than the known leak explains, or
 //! all lose less. The sums then start again from these breaths.
 
+/// Flow of a leak at PEEP from which it is made up for in advance, L/s.
+pub const KNOWN_LEAK: f32 = 0.015;
 /// Part of the sums that a breath leaves of the earlier ones.
 const REMEMBERED: f32 = 0.85;
 /// Breaths in a row with an unexplained loss of the same sign after which the leak may have changed.

@@ -51,9 +51,11 @@ impl Plateau {
     /// tick belongs to the window of this length at its end.
     #[inline]
     pub fn add(&mut self, moment: &Moment, window: u32, values: Option<[f32; 3]>) {
-        if moment.breath.inspiration_ticks() - moment.tick > window {
+        if moment.tick == 0 {
             (self.sums, self.count) = ([0.0; 3], 0);
-        } else if let Some(values) = values {
+        }
+        let belongs = moment.breath.inspiration_ticks() - moment.tick <= window;
+        if let Some(values) = values.filter(|_| belongs) {
             self.sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
             self.count += 1;
         }

@@ -55,8 +55,8 @@ pub struct Filling {
 
 impl Filling {
     /// The settings have changed. A fast lung then keeps the gas of a higher PEEP, a slow one that of a higher mean pressure.
-    pub fn begin(&mut self, before: &Settings, now: &Settings) {
-        let rise = (now.peep - before.peep).max(mean_pressure(now) - mean_pressure(before));
+    pub fn begin(&mut self, before: Pressures, now: Pressures) {
+        let rise = (now.peep - before.peep).max(now.mean - before.mean);
         self.gas = (self.gas + SLOW_LUNG * rise).max(0.0);
         self.breaths = RESTED_BREATHS as u8;
     }
@@ -71,10 +71,21 @@ impl Filling {
     }
 }
 
-/// Mean pressure of a breath, cmH2O.
-fn mean_pressure(settings: &Settings) -> f32 {
-    let Settings { pip, peep, rate, inspiratory_time, rise_time, .. } = *settings;
-    peep + (pip - peep) * filling_time(inspiratory_time, rise_time) * rate / 60.0
+/// Pressures of breaths that follow each other evenly, cmH2O.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pressures {
+    peep: f32,
+    /// Mean over a breath.
+    mean: f32,
+}
+
+impl Pressures {
+    /// Those that the settings ask for.
+    pub fn of(settings: &Settings) -> Self {
+        let Settings { pip, peep, rate, inspiratory_time, rise_time, .. } = *settings;
+        let filled = filling_time(inspiratory_time, rise_time) * rate / 60.0;
+        Self { peep, mean: peep + (pip - peep) * filled }
+    }
 }
 
 /// A monitor's wait after changes that concern it.
@@ -157,7 +168,7 @@ mod tests {
     /// Gas that a lung takes after a change from PIP 25, PEEP 5, 1 s of 3 s, mL.
     fn filling(now: Settings) -> Filling {
         let mut filling = Filling::default();
-        filling.begin(&paper_settings(25.0), &now);
+        filling.begin(Pressures::of(&paper_settings(25.0)), Pressures::of(&now));
         filling
     }
 

@@ -10,13 +10,15 @@
 //! [`Supervisor::command`], which takes it back with a controller's output; and [`Supervisor::end_tick`]. Outside a
 //! breath it is [`Supervisor::watch`] and [`Supervisor::rest`].
 
+mod answer;
+mod breaths;
 mod state;
 
 use super::alarms::{Action, Fault};
 use super::backup::Backup;
-use super::breath_monitor::{BreathInput, BreathMonitor, BreathState, may_be_open};
+use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
 use super::expected::Expected;
-use super::expiration::{Expiration, ExpirationState, IN_A_ROW, Missing, TIGHT};
+use super::expiration::{Expiration, ExpirationState, TIGHT};
 use super::filter::ValveCommand;
 use super::flow_monitor::{FlowMonitor, FlowState};
 use super::indications::Indications;
@@ -26,7 +28,7 @@ use super::monitors::{Monitors, in_a_row, ticks};
 use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::reference_volume::ReferenceVolume;
 use super::responses::{Response, Responses};
-use super::settling::{Filling, moves_breaths, moves_peep};
+use super::settling::{Filling, Pressures};
 use super::source::{PressureSource, Reading, SourceState};
 use super::standing::Standing;
 use super::volume_monitor::{VolumeMonitor, VolumeState};
@@ -45,27 +47,12 @@ pub const RESIDUAL_SLEW: f32 = 25_000.0;
 pub const MISSED_MAX: u32 = 5;
 /// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure.
 pub const CUTS_MAX: u32 = 3;
-/// Fraction of the rise from PEEP to PIP that a good inspiration reaches.
-const GOOD_RISE: f32 = 0.7;
-/// Fraction of that rise from which the valve gives what it is commanded to: a supply that falls leaves less.
-const FULL_RISE: f32 = 0.85;
 /// Fraction of that rise from which a reading responds to the gas.
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
 pub const RESPONSES: u32 = 2;
-/// Inspirations in a row after which a flow sensor is doubted that shows more gas than the valve's model: a valve that is stuck
-/// open delivers more, too. One that shows far less is doubted at once.
-const UNSHOWN: u32 = 2;
-/// Least gas that comes out of a lung through an open expiratory valve, mL.
-const COMES_OUT: f32 = 10.0;
-/// The same after an effort, which moves gas to and fro between lung and circuit, mL.
-const COMES_OUT_AFTER_EFFORT: f32 = 50.0;
-/// Share of the valve's flow that the flow sensor shows if the gas reaches the patient.
-const REACHES: f32 = 0.5;
 /// Recent rise of the flow to the patient that an effort causes, L/s: in a passive lung the flow falls with the pressure.
 const INHALES: f32 = 0.05;
-/// Modelled flow below which no flow need reach the patient, L/s.
-const LITTLE_FLOW: f32 = 0.1;
 /// Predicted rise that a patient takes away, cmH2O: an effort of 20, which the estimates of the lung contain as well.
 pub const EFFORT: f32 = 40.0;
 /// Time after which an open expiratory valve lets gas out, s: its lag of 15 ms, and the sensor's.
@@ -107,15 +94,15 @@ pub struct SupervisorState {
     standing: Standing,
     volumes: Volumes,
     volume: VolumeState,
+    /// Pressure at the end of an inspiration that is still to be judged, cmH2O.
+    reached: Option<f32>,
     /// What became of the last breath's gas.
     gas: Gas,
-    /// Inspirations in a row in which the flow sensor did not show the gas of the valve's model.
-    unshown: u32,
     flow: FlowState,
     reference: ReferenceVolume,
     filling: Filling,
-    /// Whether the lung has kept what the last breath lacks, since the settings have changed.
-    kept: bool,
+    /// Pressures of the last breath, if the running one has other settings.
+    pressures_before: Option<Pressures>,
     /// Whether the flow sensor was sound in the last breath of a connected patient.
     flow_sound: bool,
     backup: Backup,
@@ -311,7 +298,7 @@ impl Supervisor {
 
     fn check_pressure(&self, state: &mut SupervisorState, pressure: f32, flow: f32, settings: &Settings) {
         let (limit, peep, venting) = (settings.pressure_limit, settings.peep, state.open() > 0);
-        let flow = if state.is_flow_doubted() { f32::NAN } else { flow };
+        let flow = if state.flow.hides_gas() { f32::NAN } else { flow };
         // A reading that does not respond to the gas proves nothing about the valves.
         let gas = if state.unresponsive.is_some() { Gas::ComesOut } else { state.gas };
         let input = PressureInput { pressure, limit, peep, venting, flow, gas };
@@ -320,7 +307,7 @@ impl Supervisor {
             PressureFinding::EndInspiration if state.cut() => {}
             PressureFinding::EndInspiration => {
                 if state.backup.lacks_gas() {
-                    state.unshown = UNSHOWN;
+                    state.flow.inspired(Ordering::Less);
                 }
                 state.cut.end(state.lung.explains(0.5 * (limit + settings.pip)));
                 if state.open() == 0 {
@@ -339,10 +326,12 @@ impl Supervisor {
         // The first tick has enough to do.
         match moment.tick {
             0 => self.start_breath(state, pressure, settings),
-            1 => self.check_flow(state, settings),
-            2 => self.check_volumes(state, settings),
-            3 => self.judge_gas(state, readings, settings),
-            4 => self.check_reference(state, settings),
+            1 => self.check_flow(state),
+            2 => self.learn_leak(state, settings),
+            3 => self.check_volumes(state, settings),
+            4 => self.judge_gas(state, readings, settings),
+            5 => self.check_reference(state, settings),
+            6 => self.judge_leak(state, settings),
             _ => {}
         }
         debug_assert!(
@@ -357,6 +346,7 @@ impl Supervisor {
         if moment.inspires() {
             state.backup.count(readings.flow, state.lung.valve_flow(), period);
         }
+        self.judge_inspiration(state, moment);
         if let Some(pressure) = pressure {
             self.check_breath(state, pressure, readings, moment, doubtful);
         } else {
@@ -375,101 +365,6 @@ impl Supervisor {
         if moment.inspires() {
             let by_flow = self.responses().has(Response::BackupByFlow) && state.backup.is_flow_sound();
             self.lung.deliver(&mut state.lung, by_flow.then_some(readings.flow));
-        }
-    }
-
-    /// Checks the flow sensor by the last breath, and what that lost.
-    fn check_flow(&self, state: &mut SupervisorState, settings: &Settings) {
-        let blind = state.reading == Reading::Lost;
-        if let Some(fault) = self.flow.judge(&mut state.flow, blind) {
-            self.report(state, fault);
-        }
-        self.judge_leak(state, settings);
-    }
-
-    /// Judges the gas that the last breath lost, and learns the leak from it unless the flow sensor is in doubt.
-    fn judge_leak(&self, state: &mut SupervisorState, settings: &Settings) {
-        let missing = if state.kept || state.reference.takes_little() {
-            Missing::Explained
-        } else if state.volumes.lung_keeps(self.period) {
-            Missing::Kept
-        } else {
-            Missing::Lost
-        };
-        let expired = state.volumes.expired_share();
-        if let Some(fault) = self.expiration.judge_last(&mut state.expiration, expired, missing) {
-            self.report(state, fault);
-        }
-        let shown = !state.flow.is_doubtful() && !state.breath.is_disconnected();
-        let Some(loss) = state.volumes.loss().filter(|_| shown) else { return };
-        if self.expiration.learn_leak(&mut state.expiration, (settings.peep, settings.expiratory_bias), loss)
-        {
-            state.volume.leak_changed();
-            state.reference.leak_changed();
-        }
-    }
-
-    fn check_volumes(&self, state: &mut SupervisorState, settings: &Settings) {
-        let findings = self.volume.check(&mut state.volume, &state.volumes, settings);
-        for fault in findings.into_iter().flatten() {
-            self.report(state, fault);
-        }
-    }
-
-    /// Judges what became of the last breath's gas, and whether the pressure has answered to it.
-    fn judge_gas(&self, state: &mut SupervisorState, readings: &Readings, settings: &Settings) {
-        let balance = state.volumes.balance().filter(|_| !state.is_flow_doubted());
-        let Some(balance) = balance else {
-            state.gas = Gas::Unseen;
-            return;
-        };
-        let effort = state.start == Start::Effort;
-        let least = if effort { COMES_OUT_AFTER_EFFORT } else { COMES_OUT };
-        let expired = balance.expired - state.standing.expired_before();
-        let stays = expired < least || state.volumes.are_blocked();
-        state.gas = if stays { Gas::Stays } else { Gas::ComesOut };
-        let baselines = state.expiration.incomplete();
-        state.standing.add(balance.kept, baselines > 1);
-        // Of a breath that the limit has ended, the gas comes out earlier.
-        let judged = state.cuts == 0 && state.level() != Level::Backup && !state.breath.is_disconnected();
-        let Some(elastance) = state.backup.elastance().filter(|_| judged) else { return };
-        let denied = state.standing.denies_outflow(expired, elastance)
-            || (baselines == IN_A_ROW && state.standing.denies_balance(settings.peep, elastance));
-        if denied {
-            self.disbelieve(state, readings);
-        }
-    }
-
-    /// The believed pressure does not respond to the gas: uses the other sensor, if they differ, or backup ventilation.
-    fn disbelieve(&self, state: &mut SupervisorState, readings: &Readings) {
-        if !self.other_responds(state, readings) {
-            self.lose_response(state);
-        }
-    }
-
-    /// No sensor responds: backup ventilation.
-    fn lose_response(&self, state: &mut SupervisorState) {
-        if self.report(state, Fault::NoResponse) {
-            state.unresponsive = state.unresponsive.or(Some(0));
-        }
-    }
-
-    /// Whether the sensors differ: then the one that has responded is used.
-    fn other_responds(&self, state: &mut SupervisorState, readings: &Readings) -> bool {
-        let flow = state.lung.flow();
-        let differ = self.source.unresponsive(&mut state.source, readings, flow);
-        if differ {
-            self.report(state, Fault::SensorsDisagree);
-        }
-        differ
-    }
-
-    /// Compares the volume of the last breath with those before.
-    fn check_reference(&self, state: &mut SupervisorState, settings: &Settings) {
-        let sound = state.flow_sound && !state.flow.is_doubtful();
-        let SupervisorState { reference, volumes, .. } = state;
-        if let Some(fault) = reference.check(volumes, sound, self.period, settings) {
-            self.report(state, fault);
         }
     }
 
@@ -544,121 +439,7 @@ impl Supervisor {
             state.standing.inspired(state.volumes.expired());
         }
         if moment.ends_inspiration() && !cut {
-            let volume = state.lung.volume();
-            if self.source.at_plateau(&mut state.source, moment.settings().peep, volume) {
-                self.report(state, Fault::SensorsDisagree);
-            }
-            self.inspired(state, pressure, moment.breath);
-        }
-    }
-
-    /// Finds why the pressure does not respond to the gas. If the gas reaches the patient, and two sound sensors agree, a
-    /// patient draws it in: either the pressure stays up all the same, or no more is missing than an effort takes away. Efforts
-    /// falsify single estimates of the lung easily, so that these prove nothing then.
-    fn unresponsive(
-        &self,
-        state: &mut SupervisorState,
-        pressure: f32,
-        readings: &Readings,
-        settings: &Settings,
-        still: bool,
-    ) {
-        if self.other_responds(state, readings) {
-            return;
-        }
-        let flow = state.lung.flow();
-        let rise = pressure - settings.peep;
-        let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
-        let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < EFFORT;
-        let reaches = flow < LITTLE_FLOW || readings.flow >= REACHES * flow;
-        if reaches && drawn_in && !still && state.source.are_both_sound() {
-            return;
-        }
-        if readings.flow >= LITTLE_FLOW && reaches && may_be_open(pressure, settings.peep) {
-            state.cut = Cut::InDoubt;
-            state.breath.doubt();
-        } else {
-            self.lose_response(state);
-        }
-    }
-
-    /// Ends an inspiration that was not cut at the limit.
-    fn inspired(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
-        self.lung.end_inspiration(&mut state.lung, state.start == Start::Effort);
-        state.unshown = match state.backup.gas_shown() {
-            None => state.unshown,
-            Some(Ordering::Less) => UNSHOWN,
-            Some(shown) => in_a_row(state.unshown, shown == Ordering::Greater),
-        };
-        let settings = breath.settings();
-        let (rise, whole) = (pressure - settings.peep, settings.pip - settings.peep);
-        if let Some(responses) = &mut state.unresponsive {
-            debug_assert!(*responses < RESPONSES, "so many end backup ventilation");
-            // From where it was: a reading that stands still above PEEP has not responded.
-            let rise = rise.min(pressure - state.standing.start());
-            *responses = in_a_row(*responses, rise >= RESPONSE * whole);
-            if *responses >= RESPONSES {
-                state.unresponsive = None;
-                state.ladder.step_down(Level::Pid);
-            }
-        } else if rise >= GOOD_RISE * whole && state.standing.has_moved() {
-            state.lung.forget_false(pressure);
-            state.backup.accept(breath);
-            if rise >= FULL_RISE * whole {
-                state.flow.rose(rise);
-            }
-        }
-    }
-
-    /// Updates the ladder with the breath that has ended, and starts the next one.
-    fn start_breath(&self, state: &mut SupervisorState, pressure: Option<f32>, settings: &Settings) {
-        if let Some(fault) = state.ladder.breath_ended(state.cut == Cut::ByGas) {
-            self.report(state, fault);
-        }
-        if state.cut == Cut::InDoubt && !state.breath.is_disconnected() {
-            self.lose_response(state);
-        }
-        state.cuts = in_a_row(state.cuts, state.cut() && state.cut != Cut::InDoubt);
-        if state.cuts >= CUTS_MAX {
-            self.report(state, Fault::HighPressure);
-        }
-        let before = state.settings.replace(*settings).filter(|before| before != settings);
-        if let Some(before) = before {
-            Self::settings_changed(state, &before, settings);
-        }
-        let shown = state.cut() || state.backup.is_flow_sound();
-        state.flow_sound = shown && !state.breath.is_disconnected();
-        (state.cut, state.missed, state.learned) = (Cut::None, 0, 0.0);
-        match pressure {
-            Some(_) => state.lung.forget_gas(),
-            None => state.lung.keep_gas(self.flow.expiration(&state.flow)),
-        }
-        let pressure = pressure.filter(|_| !state.breath.is_disconnected());
-        state.lung.start_inspiration(pressure.unwrap_or(settings.peep), settings.peep);
-        state.backup.start_breath();
-        state.volumes.start_breath();
-        state.volumes.limit_exchange(self.flow.swing(&state.flow));
-        let expired = state.volumes.expired_share();
-        // Gas that a leak takes is more than a lung has room for. The breath that has ended had the settings before.
-        state.kept = state.volumes.loss().is_some_and(|loss| state.filling.explains(loss.gas));
-        if let Some(before) = before {
-            state.filling.begin(&before, settings);
-        }
-        let swings = state.standing.swings();
-        self.expiration.start_breath(&mut state.expiration, expired, swings);
-        let believed = !state.is_flow_doubted() && state.unresponsive.is_none();
-        if self.pressure.is_sustained(&state.pressure) && believed && state.volumes.are_blocked() {
-            self.report(state, Fault::SustainedPressure);
-        }
-    }
-
-    /// Tells the monitors of the baseline that the settings have changed, if it concerns them.
-    fn settings_changed(state: &mut SupervisorState, before: &Settings, now: &Settings) {
-        if moves_breaths(before, now) {
-            state.breath.settings_changed(before.peep);
-        }
-        if moves_peep(before, now) {
-            state.expiration.peep_changed(now.peep - before.peep);
+            state.reached = Some(pressure);
         }
     }
 

@@ -1,7 +1,6 @@
 //! Volumes of each breath from the flow sensor at the airway, and the leak that they show.
 
-use super::expiration::KNOWN_LEAK;
-use super::leak::Loss;
+use super::leak::{KNOWN_LEAK, Loss};
 use crate::math;
 
 /// Share of a breath's ticks that must have a flow reading.

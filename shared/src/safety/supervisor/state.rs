@@ -6,7 +6,6 @@ use crate::safety::indications::Indications;
 use crate::safety::ladder::Level;
 use crate::safety::lung_estimator::TELLING_RISE;
 use crate::safety::source::Reading;
-use crate::trigger::Sign;
 
 /// Whether the running breath's inspiration was ended early, at the pressure limit by what raised the pressure to it, or because its
 /// gas may flow out of an open tube.
@@ -90,11 +89,6 @@ impl SupervisorState {
         self.standing.stands_above(peep) && self.backup.elastance().is_some_and(rise)
     }
 
-    /// Whether the flow sensor does not show the gas that the valve delivers.
-    pub(super) fn is_flow_doubted(&self) -> bool {
-        self.unshown >= super::UNSHOWN
-    }
-
     /// Ticks for which the expiratory valve has been commanded open; it is open before the first command.
     pub(super) fn open(&self) -> u32 {
         self.open.unwrap_or(1)
@@ -111,10 +105,10 @@ impl SupervisorState {
     }
 
     /// Whether a leak, not the patient, may have given a sign of an effort: the pressure sags, and gas that has gone in does not come
-    /// out again, or what flows in is no more than what the known leak takes at this pressure.
-    pub fn leak_explains(&self, sign: Sign, belief: &Belief) -> bool {
+    /// out again, or what flows in is no more than what the known leak takes at this pressure. `by_pressure`: the pressure has given it.
+    pub fn leak_explains(&self, by_pressure: bool, belief: &Belief) -> bool {
         // While the PEEP valve is open, flow that rises is the patient's; after a sag it may be what makes up for the leak.
-        let sags = sign == Sign::Pressure || self.expiration.has_sagged();
+        let sags = by_pressure || self.expiration.has_sagged();
         sags && self.volumes.goes_to_leak(self.expiration.leak(), belief.pressure)
     }
 

@@ -384,7 +384,7 @@ fn a_leak_is_learned_from_a_connected_patient_alone() {
         // 0.2 L in 1 s at 9 cmH2O, of which nothing comes out.
         run.state.volumes = Volumes::default();
         run.state.volumes.add(0.2, 9.0, 0.0, 1.0);
-        (0..2).for_each(|tick| _ = run.check(5.0, Some(tick)));
+        (0..3).for_each(|tick| _ = run.check(5.0, Some(tick)));
         run.state.expiration.compensation()
     };
     assert!(learned(false) > 10.0 && learned(true).abs() < 1e-6);
