@@ -337,7 +337,7 @@ fn an_open_port_is_no_relief_valve() {
     machine.rig.plant.bench.fail(Failure::Disconnected);
     machine.run(1000);
     let relief = machine.check(Check::Relief)[Step::Relief as usize];
-    assert_eq!(relief.outcome, Outcome::Failed(Finding::NoRise), "{relief:?}");
+    assert_eq!(relief.outcome, Outcome::Failed(Finding::PortOpen), "{relief:?}");
 }
 
 #[test]

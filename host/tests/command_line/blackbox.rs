@@ -3,7 +3,7 @@
 use std::fs;
 use std::time::Instant;
 
-use plant::bench::BenchConfig;
+use plant::bench::{BenchConfig, Failure, FaultConfig, Faulty};
 use shared::breath::paper_settings;
 use shared::link::messages::Event;
 use shared::recorder::{FAST_TAIL, RecorderStatus};
@@ -13,13 +13,14 @@ use shared::settings::Settings;
 use super::bedside::{Bedside, LONG};
 use super::support::Place;
 
-/// Pressure to which hardly any gas leaves the lung, cmH2O.
+/// PEEP, above which the pressure stays, cmH2O.
 const PEEP: f32 = 5.0;
 
 #[test]
 fn a_fault_is_read_drawn_and_cleared() {
     let mut bench = BenchConfig::paper(20.0, 20.0);
-    bench.expiratory.orifice_l_per_s_per_sqrt_cmh2o = 0.02;
+    let what = Faulty::Part(Failure::ExpiratoryValveClosed);
+    bench.faults.push(FaultConfig { from_s: 7.0, to_s: None, repeats: None, what });
     let bedside = Bedside::at(&bench);
     fail(&bedside);
     let name = bedside.name();

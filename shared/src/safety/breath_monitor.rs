@@ -20,6 +20,11 @@ const NEARLY_LOW: f32 = 1.0;
 pub const REACHED: f32 = 0.3;
 /// Mean command above which the valve counts as wide open, percent.
 pub const WIDE_OPEN: f32 = 60.0;
+/// Flow from which gas goes to the patient, L/s.
+const DRAUGHT: f32 = 0.02;
+/// Fraction of the rise below which an inspiration does not reach its pressure if a noisy reading caps its command: less of the volume
+/// is too little in silence.
+pub const CAPPED: f32 = 0.8;
 /// Fraction of PEEP below which the airway is open; an effort rarely pulls the pressure so low.
 pub const OPEN_END: f32 = 0.4;
 /// Pressure up to which a tube may be open at any PEEP, cmH2O: what its end holds back from a full flow, and a sensor's offset. Gas
@@ -179,6 +184,11 @@ impl BreathState {
         self.compliances.into_iter().flatten().map(|before| before.at(time)).reduce(f32::min)
     }
 
+    /// Another pressure sensor is used: by it, the same gas may raise the pressure by more or less.
+    pub fn sensor_changed(&mut self) {
+        self.compliances = [None; 2];
+    }
+
     /// The inspiration ends because its gas may flow out of an open tube: the expiration shows whether it does.
     pub fn doubt(&mut self) {
         self.open = u32::MAX;
@@ -201,16 +211,24 @@ pub struct BreathInput<'a> {
     pub pressure: f32,
     /// Last command, percent.
     pub command: f32,
-    /// Whether the ladder caps the command.
-    pub capped: bool,
+    /// Cap of the command.
+    pub cap: Cap,
     /// Volume delivered so far in this inspiration, mL.
     pub volume: f32,
+    /// Share of it that a sound flow sensor usually shows.
+    pub share: f32,
     /// Volume that has reached the patient so far, mL; none if the flow is not measured.
     pub reached: Option<f32>,
+    /// Volume that the flow sensor has shown towards the patient so far, mL; none if the flow is not measured.
+    pub inspired: Option<f32>,
     /// Volume that has come back from the patient so far, mL.
     pub returned: f32,
     /// Whether a part of it is lost through a leak.
     pub leaks: bool,
+    /// Smoothed flow to the patient, L/s, without which no tube is open; none without a sound flow sensor.
+    pub flow: Option<f32>,
+    /// Whether the two pressure sensors differ.
+    pub doubtful: bool,
     /// Volumes that went in and came out in the last breath, mL; none if the flow was not measured.
     pub last: Option<BreathVolumes>,
 }
@@ -235,14 +253,25 @@ impl Mean {
     }
 }
 
-/// Pressure below which an airway is open at this PEEP, cmH2O.
-fn open_end(peep: f32) -> f32 {
-    (peep - BELOW_PEEP).min(OPEN_END * peep)
+/// Whether the command is capped, and why.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cap {
+    /// It is not.
+    None,
+    /// Breaths have ended at the pressure limit.
+    ByLimit,
+    /// The pressure reading is noisy.
+    ByNoise,
+}
+
+/// Whether a pressure is that of an open airway at this PEEP, cmH2O.
+fn is_gone(pressure: f32, peep: f32) -> bool {
+    pressure < peep - BELOW_PEEP && pressure < OPEN_END * peep
 }
 
 /// Whether a tube with gas that flows in may be open at this pressure and PEEP, cmH2O; only the gas that comes back tells.
 pub fn may_be_open(pressure: f32, peep: f32) -> bool {
-    pressure > LOWEST_OPEN && pressure < open_end(peep).max(ROOM)
+    pressure > LOWEST_OPEN && (pressure < ROOM || is_gone(pressure, peep))
 }
 
 impl BreathMonitor {
@@ -285,7 +314,9 @@ impl BreathMonitor {
         let left = if inspires { moment.breath.inspiration_ticks() - moment.tick } else { moment.left() };
         if inspires && !cut {
             let gone = state.gone.saturating_add(u32::from(command > FILLING));
-            state.gone = if pressure > LOWEST_OPEN && pressure < open_end(peep) { gone } else { 0 };
+            let flows = input.flow.is_none_or(|flow| flow >= DRAUGHT);
+            let open = flows && pressure > LOWEST_OPEN && is_gone(pressure, peep);
+            state.gone = if open { gone } else { 0 };
             if left <= self.open_for {
                 state.open = in_a_row(state.open, may_be_open(pressure, peep));
             }
@@ -293,8 +324,8 @@ impl BreathMonitor {
         {
             state.disconnected |= self.finds_open && self.loses_all(state, input);
         }
-        let longest = if input.capped { self.slow_disconnected } else { self.disconnected };
-        state.back = in_a_row(state.back, inspires && pressure > peep.max(CLOSED));
+        let longest = if input.cap == Cap::None { self.disconnected } else { self.slow_disconnected };
+        state.back = in_a_row(state.back, inspires && pressure > peep && pressure > CLOSED);
         state.disconnected = (state.disconnected || state.gone >= longest) && state.back < self.connected;
         if state.disconnected {
             state.cut = cut;
@@ -306,7 +337,8 @@ impl BreathMonitor {
             return Some(Fault::Occlusion);
         }
         state.cut = cut;
-        state.rest.add(&moment, self.end_of_phase, Some([pressure]));
+        // What only one of two sensors shows is the concern of their comparison.
+        state.rest.add(&moment, self.end_of_phase, (!input.doubtful).then_some([pressure]));
         if inspires && left <= self.end_of_phase {
             state.pressure.add(pressure);
             state.command.add(command);
@@ -331,7 +363,7 @@ impl BreathMonitor {
         let was_open = core::mem::take(&mut state.open) >= self.open_for;
         let open = was_open && may_be_open(input.pressure, input.moment.settings().peep);
         let lost = |gas: f32| gas >= TELLING_GAS && input.returned < COMES_BACK * gas + NOISE;
-        open && input.reached.is_some_and(lost)
+        open && input.inspired.is_some_and(lost)
     }
 
     /// Checks an expiration that an effort ends early at this PEEP, cmH2O, by its pressure before that.
@@ -356,7 +388,8 @@ impl BreathMonitor {
         let rise = end.pressure - settings.peep;
         // A lung that a lower PEEP has left takes gas before its pressure rises.
         let least = state.peeps(settings.peep).0 + REACHED * (settings.pip - settings.peep);
-        let weak = end.pressure < least && end.command > WIDE_OPEN;
+        let capped = end.cap == Cap::ByNoise && rise < CAPPED * (settings.pip - settings.peep);
+        let weak = capped || (end.pressure < least && end.command > WIDE_OPEN);
         state.weak = in_a_row(state.weak, weak);
         let occluded = self.occluded(state, rise, end);
         if state.weak >= self.weak {
@@ -381,12 +414,13 @@ impl BreathMonitor {
         let occluded = before.is_some_and(|before| compliance.value < OCCLUDED * before);
         state.occluded = in_a_row(state.occluded, occluded);
         // A breath that a cough ends has little gas, all of which comes out.
-        (state.delivered, state.normal) = (volume, volume * if cut { PASSES } else { OPEN });
+        let given = end.share * volume;
+        (state.delivered, state.normal) = (given, given * if cut { PASSES } else { OPEN });
         // The new compliance is believed in the end: a lung can change for good, and the alarm has long been raised.
         if !occluded || state.occluded >= NEW_LUNG {
             state.compliances = [Some(compliance), state.compliances[0]];
         }
-        let passes = state.passed || reached.is_some_and(|reached| reached >= PASSES * volume);
+        let passes = state.passed || reached.is_some_and(|reached| reached >= PASSES * given);
         state.occluded >= self.occluded && (!passes || state.occluded >= NARROWED_BREATHS)
     }
 

@@ -119,6 +119,8 @@ pub struct ExpirationState {
     incomplete: u32,
     /// Whether the last of them was still falling.
     falling: bool,
+    /// Expirations in a row at whose end the lung had emptied.
+    emptied: u32,
     /// Constant baseline above PEEP, and the rise of PIP with it, cmH2O.
     above: f32,
     shift: f32,
@@ -205,6 +207,7 @@ impl Expiration {
         let above = state.smooth - peep;
         state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         let now = Sample { pressure: state.smooth, flow };
+        state.emptied = in_a_row(state.emptied, flow >= -EMPTIES);
         state.settle(now, peep);
         if above > SAG {
             state.forget_effort(state.lowest);
@@ -224,6 +227,7 @@ impl Expiration {
             state.flow_is_too_much();
         }
         let before = state.sample_before(OF_EFFORT);
+        state.emptied = in_a_row(state.emptied, before.flow >= -EMPTIES);
         let above = if emptied { before.pressure - peep } else { above };
         let incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         state.incomplete = if emptied { incomplete } else { incomplete.min(state.incomplete) };
@@ -323,6 +327,12 @@ impl ExpirationState {
     /// Smoothed pressure, cmH2O.
     pub fn smooth(&self) -> f32 {
         self.smooth
+    }
+
+    /// Whether hardly any gas flowed out at the end of the last two expirations, before an effort: one may hide an effort that is too weak
+    /// to end it.
+    pub fn has_emptied(&self) -> bool {
+        self.emptied > 1
     }
 
     /// Expirations in a row that ended above PEEP.

@@ -10,7 +10,7 @@
 //! gas gets to the patient.
 
 use super::alarms::Fault;
-use super::monitors::{Monitors, in_a_row};
+use super::monitors::{Monitors, in_a_row, ticks};
 use crate::breath::period_s;
 use core::cmp::Ordering;
 
@@ -44,6 +44,10 @@ const SIMILAR: f32 = 1.5;
 const HIDES: u32 = 2;
 /// Breaths in a row with another gas and another share of it that become the usual ones.
 const UNLIKE: u32 = 5;
+/// Share of the usual volume below which the same gas of the valve shows a change of the sensor, not of the breath.
+const CLEARLY_LESS: f32 = 0.8;
+/// Time for which a sensor with noise cannot repeat a reading, s.
+pub const STANDS: f32 = 0.1;
 /// Share of the readings that repeat the one before, up to which a sensor has noise.
 const REPEATS: f32 = 0.05;
 /// Weight of a new breath in the usual one.
@@ -121,6 +125,8 @@ enum Loss {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlowMonitor {
     period: f32,
+    /// [`STANDS`] in ticks.
+    standing: u32,
     /// Whether the monitor of the flow sensor is enabled.
     enabled: bool,
 }
@@ -132,11 +138,15 @@ pub struct FlowState {
     last: Sums,
     /// Mean flow of the last breath, L/s.
     mean: f32,
+    /// Ticks in a row with the same reading.
+    standing: u32,
     /// Inspirations in a row in which the sensor did not show the gas of the valve's model.
     hides: u32,
     usual: Option<Usual>,
-    /// Whether noise has changed nearly every reading of a sound breath.
+    /// Whether noise has changed nearly every reading of a breath.
     noisy: bool,
+    /// Whether the last breath showed clearly less than the usual share of about as much gas.
+    shows_less: bool,
     /// Breaths in a row that are unlike the usual one, in gas and share.
     unlike: u32,
     /// Breaths in a row that contradict the gas, in which more goes out than in, and whose gas does not get to the patient.
@@ -229,6 +239,11 @@ impl Usual {
         near(gas.inspired, self.share) && near(gas.swing, self.swing)
     }
 
+    /// Whether a breath with about as much gas shows clearly less of it than usual.
+    fn exceeds(&self, gas: &Gas) -> bool {
+        gas.inspired < CLEARLY_LESS * self.share * gas.valve
+    }
+
     /// Whether a breath with about as much gas shows it as usual.
     fn agrees(&self, gas: &Gas) -> bool {
         let (inspired, swing) = (self.share * gas.valve, self.swing * gas.valve);
@@ -251,7 +266,28 @@ impl Usual {
 impl FlowMonitor {
     /// A monitor for a control period in microseconds; without the alarm about the sensor it is always used.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
-        Self { period: period_s(period_us), enabled: enabled.has(Fault::FlowSensorLost) }
+        Self {
+            period: period_s(period_us),
+            standing: ticks(STANDS, period_us),
+            enabled: enabled.has(Fault::FlowSensorLost),
+        }
+    }
+
+    /// Adds the flow of a tick by the sensor and by the valve's model, L/s; NaN without a reading. `inspires`: the expiratory valve is
+    /// closed. A sensor with noise that repeats itself is lost at once; the alarm comes with the next judgement.
+    #[inline]
+    pub fn add(&self, state: &mut FlowState, sensor: f32, valve: f32, inspires: bool) {
+        state.running.rest += u32::from(!inspires);
+        if sensor.is_nan() {
+            return;
+        }
+        let repeats = state.running.repeats;
+        state.running.add(sensor, valve, usize::from(inspires));
+        state.standing = in_a_row(state.standing, state.running.repeats > repeats);
+        let stands = state.noisy && state.standing >= self.standing;
+        if self.enabled && stands && state.lost.is_none() {
+            state.lost = Some(Loss::Reading);
+        }
     }
 
     /// Judges the last breath, once; `blind`: without a pressure reading. Returns what it has found.
@@ -270,6 +306,8 @@ impl FlowMonitor {
             Verdict::Frozen | Verdict::Silent => state.belied,
         };
         state.blocked = in_a_row(state.blocked, verdict == Verdict::Blocked);
+        state.noisy |= state.last.is_noisy() && !state.is_lost();
+        state.shows_less = state.usual.is_some_and(|usual| usual.is_like(&gas) && usual.exceeds(&gas));
         state.lose(verdict);
         state.find(verdict, &gas);
         if state.is_lost() {
@@ -302,16 +340,6 @@ impl FlowState {
         self.mean = self.last.mean();
     }
 
-    /// Adds the flow of a tick by the sensor and by the valve's model, L/s; NaN without a reading. `inspires`: the expiratory valve is
-    /// closed.
-    #[inline]
-    pub fn add(&mut self, sensor: f32, valve: f32, inspires: bool) {
-        self.running.rest += u32::from(!inspires);
-        if !sensor.is_nan() {
-            self.running.add(sensor, valve, usize::from(inspires));
-        }
-    }
-
     /// Ends an inspiration in which the sensor has shown the gas of the valve's model, or far less or more.
     pub fn inspired(&mut self, shown: Ordering) {
         self.hides = match shown {
@@ -329,6 +357,16 @@ impl FlowState {
     /// Takes note of the rise at the end of a good inspiration, cmH2O.
     pub fn rose(&mut self, rise: f32) {
         self.running.rise = Some(rise);
+    }
+
+    /// Share of the gas by the valve's model that a sound sensor usually shows, at most 1; 1 before it is known.
+    pub fn usual_share(&self) -> f32 {
+        self.usual.map_or(1.0, |usual| usual.share.min(1.0))
+    }
+
+    /// Whether the last breath's volumes can be compared with those before.
+    pub fn is_comparable(&self) -> bool {
+        !self.is_doubtful() && !self.shows_less
     }
 
     /// Whether the sensor is out of use.
@@ -439,7 +477,6 @@ impl FlowState {
         if verdict != Verdict::Sound || self.last.rise.is_none() {
             return;
         }
-        self.noisy |= self.last.is_noisy();
         self.unlike = 0;
         match &mut self.usual {
             // One that an effort ends, or a sensor's fault, tells little.

@@ -36,6 +36,8 @@ pub const SPAN: f32 = 60.0;
 const OLDER: usize = 3;
 /// Groups after which the first such time ends.
 const FIRST_GROUPS: u8 = 2;
+/// Share of the volume up to which the gas of a leak may pass beside it: more makes the volume too uncertain.
+const LEAKY: f32 = 0.5;
 /// Share of the volume that a lung loses per cmH2O of a higher PEEP: near its full size it is stiffer.
 const STIFFENS: f32 = 0.02;
 
@@ -133,7 +135,9 @@ impl ReferenceVolume {
         (self.running, self.inspiration) = (Drive::of(settings), settings.inspiratory_time);
         let doubtful = core::mem::take(&mut self.doubtful);
         match volumes.breath().filter(|_| sound && volumes.last_ticks() > 0) {
-            Some(_) if doubtful => self.group = Group::default(),
+            Some(breath) if doubtful || breath.leaked > LEAKY * breath.inspired => {
+                self.group = Group::default();
+            }
             Some(breath) => self.add(breath, drive, seconds),
             // What was found before is not known any more.
             None => {

@@ -21,6 +21,9 @@ use crate::sensor::Readings;
 
 /// Largest plausible difference between outlet and airway, cmH2O: at full flow the tube between them drops up to 5.
 pub const FAR_APART: f32 = 10.0;
+/// Flow of the valve while which that of two such sensors is wrong which follows the other by less, L/s, and by how much less, cmH2O.
+const FILLS: f32 = 0.1;
+const FOLLOWS: f32 = 5.0;
 /// Time for which they may be further apart, s.
 pub const APART: f32 = 0.02;
 /// Expirations in a row with such a difference after which the worse sensor is not used.
@@ -121,8 +124,14 @@ pub struct SourceState {
     airway: SensorState,
     outlet: SensorState,
     apart: u32,
-    /// Whether the last tick believed a fresh reading, and if so, whether it was the outlet's.
-    believed_outlet: Option<bool>,
+    /// Whether the last reading was a fresh one.
+    was_fresh: bool,
+    /// What the smoothed readings were at the start of the breath, cmH2O; none before the first.
+    starts: Option<[f32; 2]>,
+    /// Whether a sensor is doubted because of an inspiration alone, until they are compared at rest.
+    undecided: bool,
+    /// Whether the outlet sensor is used.
+    uses_outlet: bool,
     /// Distances in the windows of the expiration: of airway and outlet from each other, and of each from PEEP. Distances, so that a
     /// hum does not look like its mean.
     rest: Windows<3>,
@@ -155,15 +164,29 @@ impl Reading {
     }
 }
 
+/// How a reading follows that of the last tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Follows {
+    /// It or the last one is no fresh reading.
+    #[default]
+    Gap,
+    /// Both are fresh readings of the same sensor.
+    Same,
+    /// Another sensor is used.
+    Other,
+}
+
 /// The choice of one tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Chosen {
     /// What the sensor in use reads.
     pub reading: Reading,
-    /// Whether a fresh reading follows one of the same sensor in the last tick.
-    pub continues: bool,
+    /// How the reading follows that of the last tick.
+    pub follows: Follows,
     /// Whether two sound sensors differ by more than a small flow explains.
     pub doubtful: bool,
+    /// What the sensor that is not used reads, if that is far from the other one, cmH2O.
+    pub denied: Option<f32>,
     /// Findings about the airway sensor, the outlet sensor and their difference.
     pub findings: [Option<Fault>; 3],
     /// Finding about the airway sensor to which the quiet outlet sensor in its place is the response.
@@ -200,8 +223,8 @@ impl PressureSource {
         let airway = self.judge(&mut state.airway, readings.airway, breathes, moves[0]);
         if !state.outlet.exists() && readings.outlet.is_nan() {
             let (findings, reading) = ([airway.fault, None, None], state.airway.read(airway));
-            let continues = state.continues(reading, false);
-            return Chosen { reading, continues, findings, ..Chosen::default() };
+            let follows = state.follows(reading, false);
+            return Chosen { reading, follows, findings, ..Chosen::default() };
         }
         let outlet = self.judge(&mut state.outlet, readings.outlet, breathes, moves[1]);
         let smooth = [state.airway.smooth, state.outlet.smooth];
@@ -210,10 +233,16 @@ impl PressureSource {
         // A finding about a sensor that was never there is none.
         let outlet_fault = outlet.fault.filter(|_| state.outlet.exists()).map(|_| Fault::OutletSensorLost);
         let apart = (readings.airway - readings.outlet).abs();
-        let both = state.are_both_sound();
-        state.apart = in_a_row(state.apart, both && apart > FAR_APART);
+        state.apart = in_a_row(state.apart, !state.is_one_lost() && apart > FAR_APART);
         let disagree = state.apart >= self.apart;
         let higher = readings.outlet > readings.airway;
+        if disagree {
+            state.agreed = 0;
+            if flow > FILLS && state.are_both_sound() {
+                state.doubt_what_stays();
+            }
+        }
+        let both = state.are_both_sound();
         let quieter =
             state.airway.condition == Condition::Noisy && state.outlet.condition != Condition::Noisy;
         let use_outlet = match (state.airway.is_sound(), state.outlet.is_sound()) {
@@ -228,8 +257,11 @@ impl PressureSource {
         let airway_fault = airway.fault.filter(|_| replaced.is_none());
         let findings = [airway_fault, outlet_fault, disagree.then_some(Fault::SensorsDisagree)];
         let reading = sensor.read(believed);
-        let continues = state.continues(reading, use_outlet);
-        Chosen { reading, continues, doubtful: both && apart > DOUBTFUL, findings, replaced }
+        let follows = state.follows(reading, use_outlet);
+        let doubtful = (both || state.undecided) && apart > DOUBTFUL;
+        let other = if use_outlet { readings.airway } else { readings.outlet };
+        let denied = (state.apart > 0).then_some(other);
+        Chosen { reading, follows, doubtful, denied, findings, replaced }
     }
 
     /// Whether the reading of a sensor cannot stay the same: the other one has moved by more than the drop in the tube, or
@@ -275,6 +307,9 @@ impl PressureSource {
     ) {
         let (airway, outlet, peep) = (readings.airway, readings.outlet, moment.settings().peep);
         let both = state.airway.exists() && state.outlet.exists() && airway.is_finite() && outlet.is_finite();
+        if moment.tick == 0 {
+            state.starts = Some([state.airway.smooth, state.outlet.smooth]);
+        }
         if moment.inspires() {
             state.plateau.add(moment, window, both.then_some([airway, outlet, flow]));
         }
@@ -288,7 +323,9 @@ impl PressureSource {
     /// Compares the sensors at the end of an inspiration from this PEEP, cmH2O, that delivered this volume, mL; true if one of them is
     /// wrong.
     pub fn at_plateau(&self, state: &mut SourceState, peep: f32, volume: f32) -> bool {
-        let compares = self.enabled.has(Fault::SensorsDisagree) && !state.is_one_lost();
+        // What shows at rest is judged there, where PEEP is the witness.
+        let compares =
+            self.enabled.has(Fault::SensorsDisagree) && !state.is_one_lost() && state.doubtful == 0;
         let Some(judgement) = state.plateau.judge(peep, volume).filter(|_| compares) else { return false };
         match judgement {
             Judgement::Agree | Judgement::Apart => return false,
@@ -317,12 +354,14 @@ impl PressureSource {
         let Some([apart, airway, outlet]) = means.filter(|_| !state.is_one_lost()) else {
             return false;
         };
-        state.doubtful = in_a_row(state.doubtful, apart > DOUBTFUL + TUBE * flow);
+        let apart_at_rest = apart > DOUBTFUL + TUBE * flow;
+        state.doubtful = in_a_row(state.doubtful, apart_at_rest);
         state.agreed = in_a_row(state.agreed, apart <= AGREE && state.plateau.agreed());
         if state.agreed >= AGREED_BREATHS {
             (state.airway.doubted, state.outlet.doubted) = (false, false);
         }
-        let wrong = state.doubtful >= self.doubtful;
+        let wrong = state.doubtful >= self.doubtful || (state.undecided && apart_at_rest);
+        state.undecided &= !wrong && state.agreed == 0;
         if wrong {
             state.airway.doubted = airway > outlet;
             state.outlet.doubted = !state.airway.doubted;
@@ -332,11 +371,34 @@ impl PressureSource {
 }
 
 impl SourceState {
-    /// Takes note of the sensor that is believed in this tick; whether it is that of the last one.
-    fn continues(&mut self, reading: Reading, outlet: bool) -> bool {
-        let believed = matches!(reading, Reading::Fresh(_)).then_some(outlet);
-        let before = core::mem::replace(&mut self.believed_outlet, believed);
-        believed.is_some() && believed == before
+    /// Takes note of the sensor that is used in this tick, and of whether it gives a fresh reading.
+    fn follows(&mut self, reading: Reading, outlet: bool) -> Follows {
+        let fresh = matches!(reading, Reading::Fresh(_));
+        let was_fresh = core::mem::replace(&mut self.was_fresh, fresh);
+        let used_outlet = core::mem::replace(&mut self.uses_outlet, outlet);
+        if used_outlet != outlet {
+            Follows::Other
+        } else if fresh && was_fresh {
+            Follows::Same
+        } else {
+            Follows::Gap
+        }
+    }
+
+    /// Whether the reading in use is noisy.
+    pub fn is_noisy(&self) -> bool {
+        let sensor = if self.uses_outlet { &self.outlet } else { &self.airway };
+        sensor.condition == Condition::Noisy
+    }
+
+    /// While gas goes in: doubts the sensor that follows the other one by less since the start of the breath. At rest PEEP tells more.
+    fn doubt_what_stays(&mut self) {
+        let Some([airway, outlet]) = self.starts else { return };
+        let more = (self.outlet.smooth - outlet) - (self.airway.smooth - airway);
+        if more.abs() > FOLLOWS {
+            (self.airway.doubted, self.outlet.doubted) = (more > 0.0, more < 0.0);
+            self.undecided = true;
+        }
     }
 
     /// Whether a sensor has failed a check, so that the two cannot be compared.

@@ -5,7 +5,8 @@
 //! So a reading is lost that
 //! * stands still above PEEP in an inspiration whose gas should have raised it ([`Standing::stands_above`]),
 //! * has stood still in an expiration in which a lung's gas came out ([`Standing::denies_outflow`]), or
-//! * stands still so high above PEEP that the gas which has stayed in the lung cannot explain it ([`Standing::denies_balance`]).
+//! * stands still so high above PEEP that the gas which has stayed in the lung cannot explain it ([`Standing::denies_balance`]), or is so
+//!   high for long, whether it stands still or not ([`Standing::lacks_gas`]).
 //!
 //! For the same reason PIP follows a high baseline only if the pressure swings with the breath ([`Standing::swings`]).
 
@@ -25,6 +26,8 @@ pub struct Standing {
     /// Smoothed pressure at the start of the running phase, cmH2O, and whether it has moved since then.
     start: f32,
     moved: bool,
+    /// Highest smoothed pressure of the running phase, cmH2O.
+    highest: f32,
     /// Whether it stood still in the last whole inspiration, and in the last expiration.
     inspiration: bool,
     expiration: bool,
@@ -40,10 +43,13 @@ impl Standing {
     pub fn observe(&mut self, moment: &Moment, smooth: f32) {
         if moment.tick == 0 {
             self.expiration = !self.moved;
-            (self.start, self.moved) = (smooth, false);
+            (self.start, self.moved, self.highest) = (smooth, false, smooth);
         } else if moment.tick == moment.breath.inspiration_ticks() {
             self.inspiration = !self.moved;
-            (self.start, self.moved) = (smooth, false);
+            (self.start, self.moved, self.highest) = (smooth, false, smooth);
+        }
+        if smooth > self.highest {
+            self.highest = smooth;
         }
         let stands = (smooth - self.start).abs() <= MOVES;
         self.moved |= !stands;
@@ -62,6 +68,11 @@ impl Standing {
     /// Smoothed pressure at the start of the running phase, cmH2O.
     pub fn start(&self) -> f32 {
         self.start
+    }
+
+    /// Highest smoothed pressure of the running phase, cmH2O.
+    pub fn highest(&self) -> f32 {
+        self.highest
     }
 
     /// At the end of a breath: whether the pressure has moved in its inspiration and in its expiration.
@@ -98,7 +109,13 @@ impl Standing {
     /// Whether the pressure stood still in the last expiration, so high above this PEEP, cmH2O, that the gas in the lung does not
     /// explain it at this elastance, cmH2O/mL.
     pub fn denies_balance(&self, peep: f32, elastance: f32) -> bool {
-        self.expiration && self.balance * elastance < EXPLAINED * (self.start - peep)
+        self.expiration && self.lacks_gas(peep, elastance)
+    }
+
+    /// Whether the gas that has stayed in the lung does not explain a pressure so high above this PEEP, cmH2O, at this elastance,
+    /// cmH2O/mL.
+    pub fn lacks_gas(&self, peep: f32, elastance: f32) -> bool {
+        self.balance * elastance < EXPLAINED * (self.start - peep)
     }
 }
 

@@ -16,7 +16,7 @@ mod state;
 
 use super::alarms::{Action, Fault};
 use super::backup::Backup;
-use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
+use super::breath_monitor::{ABOVE_PEEP, BreathInput, BreathMonitor, BreathState, Cap};
 use super::expected::Expected;
 use super::expiration::{Expiration, ExpirationState, TIGHT};
 use super::filter::ValveCommand;
@@ -29,7 +29,7 @@ use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonit
 use super::reference_volume::ReferenceVolume;
 use super::responses::{Response, Responses};
 use super::settling::{Filling, Pressures};
-use super::source::{PressureSource, Reading, SourceState};
+use super::source::{Follows, PressureSource, Reading, SourceState};
 use super::standing::Standing;
 use super::volume_monitor::{VolumeMonitor, VolumeState};
 use super::volumes::Volumes;
@@ -43,6 +43,8 @@ use state::{Cut, Start};
 
 /// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms.
 pub const RESIDUAL_SLEW: f32 = 25_000.0;
+/// Tick of a breath in which the last of the judgements about the breath before is made.
+pub const JUDGED: u32 = 6;
 /// Missed ticks within a breath that raise an alarm.
 pub const MISSED_MAX: u32 = 5;
 /// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure.
@@ -113,6 +115,8 @@ pub struct SupervisorState {
     reading: Reading,
     /// While the reading does not respond to the gas: inspirations in a row to which it did.
     unresponsive: Option<u32>,
+    /// Whether the last breath that was ended in doubt has lost its gas to a leak, and none has reached its pressure since.
+    leaks_away: bool,
     /// What has started the running breath or, at its end, the next one.
     start: Start,
     cut: Cut,
@@ -213,7 +217,8 @@ impl Supervisor {
         if moment.tick == 0 {
             state.flow.start_breath();
         }
-        state.flow.add(readings.flow, state.lung.valve_flow(), moment.inspires() && !state.cut());
+        let inspires = moment.inspires() && !state.cut();
+        self.flow.add(&mut state.flow, readings.flow, state.lung.valve_flow(), inspires);
         self.check_tick(state, &trusted, &moment, doubtful);
         self.belief(state, &trusted, moment)
     }
@@ -243,10 +248,13 @@ impl Supervisor {
             self.indicate(state, fault);
         }
         if let Reading::Fresh(pressure) = chosen.reading {
-            if !chosen.continues {
+            if chosen.follows != Follows::Same {
                 state.pressure.interrupted();
             }
-            self.check_pressure(state, pressure, readings.flow, breath.settings());
+            if chosen.follows == Follows::Other {
+                state.breath.sensor_changed();
+            }
+            self.check_pressure(state, pressure, readings.flow, breath.settings(), chosen.denied);
         }
         chosen.doubtful
     }
@@ -296,7 +304,14 @@ impl Supervisor {
         if inspires { Expected::inspiration(moment.target(), state.lung.growth()) } else { Expected::Any }
     }
 
-    fn check_pressure(&self, state: &mut SupervisorState, pressure: f32, flow: f32, settings: &Settings) {
+    fn check_pressure(
+        &self,
+        state: &mut SupervisorState,
+        pressure: f32,
+        flow: f32,
+        settings: &Settings,
+        denied: Option<f32>,
+    ) {
         let (limit, peep, venting) = (settings.pressure_limit, settings.peep, state.open() > 0);
         let flow = if state.flow.hides_gas() { f32::NAN } else { flow };
         // A reading that does not respond to the gas proves nothing about the valves.
@@ -315,7 +330,11 @@ impl Supervisor {
                 }
             }
             PressureFinding::Alarm(fault) => {
-                self.report(state, fault);
+                // A sensor that another one denies proves nothing about the valves.
+                let bound = if fault == Fault::SustainedPressure { peep + ABOVE_PEEP } else { limit };
+                if denied.is_none_or(|other| other >= bound) {
+                    self.report(state, fault);
+                }
             }
         }
     }
@@ -331,7 +350,7 @@ impl Supervisor {
             3 => self.check_volumes(state, settings),
             4 => self.judge_gas(state, readings, settings),
             5 => self.check_reference(state, settings),
-            6 => self.judge_leak(state, settings),
+            JUDGED => self.judge_leak(state, settings),
             _ => {}
         }
         debug_assert!(
@@ -413,20 +432,36 @@ impl Supervisor {
         doubtful: bool,
     ) {
         let cut = state.cut();
+        let cap = match self.level(state) {
+            Level::CappedPid if state.source.is_noisy() => Cap::ByNoise,
+            Level::CappedPid => Cap::ByLimit,
+            _ => Cap::None,
+        };
+        let flow = match state.unresponsive {
+            // A reading that does not respond shows no open tube.
+            Some(_) => Some(0.0),
+            None => (!readings.flow.is_nan() && !state.flow.is_doubtful()).then_some(state.volumes.smooth()),
+        };
         let still = state.stands_still(moment.settings().peep);
         if moment.inspires() && !cut && self.lung.check(&mut state.lung, pressure, still) {
             self.unresponsive(state, pressure, readings, moment.settings(), still);
         }
+        // In most ticks of an inspiration nothing is judged.
+        let telling = cut || !moment.inspires() || moment.ends_inspiration();
         let input = BreathInput {
             moment: *moment,
             cut,
             pressure,
             command: state.applied,
-            capped: self.level(state) == Level::CappedPid,
+            cap,
             volume: state.lung.volume(),
-            reached: state.volumes.inspired().map(|_| state.flow.reached(moment.breath.period_s())),
+            share: state.flow.usual_share(),
+            reached: if telling { state.reached(moment) } else { None },
+            inspired: if telling { state.volumes.inspired() } else { None },
             returned: state.volumes.expired(),
             leaks: state.volumes.expired_share().is_some_and(|share| share < TIGHT),
+            flow,
+            doubtful,
             last: state.volumes.exchange(),
         };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {

@@ -14,6 +14,8 @@ const TELLING: f32 = 20.0;
 
 /// Time constant of the smoothed flow, s.
 const SMOOTHING: f32 = 0.05;
+/// Change of the smoothed flow within a breath that no noise of a constant reading causes, L/s.
+const SWINGS: f32 = 0.03;
 /// Play within which the integral of the flow moves without a volume, mL: less than any breath, more than the sensor's noise.
 const PLAY: f32 = 0.5;
 
@@ -24,6 +26,8 @@ const DOUBT: f32 = 0.1;
 /// Growth of the flow out of the lung over the length of a breath, as a share of the gas that the breath lacks, from which the lung has
 /// kept that gas: its time constant is shorter than twenty breaths.
 const KEPT: f32 = 0.05;
+/// Share of a deficit that counts on in the next breath: what an offset of the sensor adds in each of them stays small.
+const DEFICIT_KEPT: f32 = 0.5;
 /// Flow of a leak that is none, L/s.
 const TIGHT: f32 = 0.005;
 /// Share of the inspired gas, and the gas, mL, that may be missing in a breath without a leak: noise, an offset of the sensor.
@@ -96,6 +100,9 @@ pub struct Volumes {
     /// Last flow, L/s, and its smoothed value.
     flow: f32,
     smooth: f32,
+    /// Lowest and highest smoothed flow of the running breath, L/s, and whether they differed in the last one by more than noise.
+    range: (f32, f32),
+    swings: bool,
     /// Length of the last breath, ticks; 0 before its end.
     last_ticks: u32,
     /// Volumes of the lung in the last breath, if the flow was measured.
@@ -106,6 +113,8 @@ pub struct Volumes {
     expired_share: Option<f32>,
     /// Gas that the last breath lost.
     loss: Option<Loss>,
+    /// Gas that the lung gave out in the last breaths and has not taken in again, mL.
+    deficit: f32,
     /// Smoothed flow at the end of the last breath, and the growth of that out of the lung since the end of the breath before, L/s.
     ended: f32,
     grown: f32,
@@ -128,6 +137,11 @@ impl Volumes {
         debug_assert!(self.measured <= self.ticks);
         self.flow = flow;
         self.smooth += (period / SMOOTHING).min(1.0) * (flow - self.smooth);
+        if self.smooth < self.range.0 {
+            self.range.0 = self.smooth;
+        } else if self.smooth > self.range.1 {
+            self.range.1 = self.smooth;
+        }
         let volume = 1000.0 * flow * period;
         self.inspired += volume.max(0.0);
         self.expired += (-volume).max(0.0);
@@ -148,16 +162,21 @@ impl Volumes {
         // However little went in: what comes out then has stayed in the breaths before.
         let Self { inspired, root, .. } = *self;
         let loss = (known && root > 0.0).then_some(Loss { gas: inspired - self.expired, root, inspired });
-        let Self { ticks: last_ticks, flow, smooth, lung, .. } = *self;
+        let Self { ticks: last_ticks, flow, smooth, lung, range, .. } = *self;
+        let swings = range.1 - range.0 > SWINGS;
         let (ended, grown) = (smooth, self.ended - smooth);
-        let measured = Self { breath, expired_share, loss, ended, grown, ..Self::default() };
-        *self = Self { lung, flow, smooth, last_ticks, exchange: breath, ..measured };
+        let given = if known { self.expired - inspired } else { 0.0 };
+        let deficit = (DEFICIT_KEPT * self.deficit + given).max(0.0);
+        let measured = Self { breath, expired_share, loss, deficit, ended, grown, ..Self::default() };
+        let range = (smooth, smooth);
+        *self = Self { lung, flow, smooth, range, swings, last_ticks, exchange: breath, ..measured };
     }
 
-    /// Limits what counts as a breath by the swing of the last one, mL: what an offset of the sensor takes from the known leak, or adds to
-    /// it, goes in and out without one.
+    /// Limits what counts as a breath by the swing of the last one, mL, if the flow has hardly changed: what an offset of the sensor
+    /// takes from the known leak, or adds to it, goes in and out without a breath. What an effort takes in an expiration swings too.
     pub fn limit_exchange(&mut self, swing: f32) {
-        if let Some(BreathVolumes { inspired, expired, .. }) = &mut self.exchange {
+        if let Some(BreathVolumes { inspired, expired, .. }) = self.exchange.as_mut().filter(|_| !self.swings)
+        {
             *inspired = inspired.min(swing.abs());
             *expired = expired.min(swing.abs());
         }
@@ -185,6 +204,17 @@ impl Volumes {
         let lung = (self.inspired - leaked).max(0.0);
         let lost = kept > MISSING.0 * lung + MISSING.1 + DOUBT * leaked;
         lost || (drawn >= KNOWN_LEAK && self.smooth < (1.0 + DOUBT) * drawn)
+    }
+
+    /// Whether hardly any of the last breath's gas came out, or was lost to a leak.
+    pub fn hardly_any_comes_out(&self) -> bool {
+        self.expired_share.is_some_and(|share| share < BLOCKED)
+    }
+
+    /// Gas that the lung has given out in the last breaths, as in a strain, and not taken in again before this one, mL: so much goes in
+    /// before the pressure answers.
+    pub fn deficit(&self) -> f32 {
+        self.deficit
     }
 
     /// Volume inspired so far in the running breath, mL; none if the flow is not measured.
@@ -221,7 +251,7 @@ impl Volumes {
     /// comes out again.
     pub fn are_blocked(&self) -> bool {
         let stays = |breath: BreathVolumes| breath.expired < BLOCKED_WITHOUT_LEAK * breath.inspired;
-        self.expired_share.is_some_and(|share| share < BLOCKED) && self.breath.is_some_and(stays)
+        self.hardly_any_comes_out() && self.breath.is_some_and(stays)
     }
 
     /// What is certain of the last breath's gas, since the known leak may be wrong: the smaller expired volume with and without it, and
@@ -518,5 +548,17 @@ mod tests {
         assert!(keeps(0.065) && keeps(0.07) && !keeps(0.074) && !keeps(0.06));
         assert!(keeps(0.193) && !keeps(0.19), "14 and 20 mL in 3 s");
         assert!(!Volumes::default().lung_keeps(0.001), "no breath");
+    }
+
+    #[test]
+    fn what_a_strain_presses_out_goes_in_again_before_the_pressure_answers() {
+        let mut volumes = Volumes::default();
+        let deficits = [3.0, 1.0, 0.0].map(|share| {
+            breath(&mut volumes, share, |_| true);
+            volumes.deficit()
+        });
+        for (deficit, expected) in deficits.into_iter().zip([800.0, 400.0, 0.0]) {
+            assert!((deficit - expected).abs() < 1.0, "{deficit} mL");
+        }
     }
 }

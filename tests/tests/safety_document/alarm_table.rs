@@ -99,7 +99,8 @@ fn responses() -> Vec<Conditions> {
         number(1.0 / reading::NOISE_SHARE)
     );
     let disagree = format!(
-        "the pressure sensors more than {} cmH2O apart for {} ms (the higher one counts), more than {} at the \
+        "the pressure sensors more than {} cmH2O apart for {} ms (the higher one counts, or while gas goes in the \
+         one that follows it, until the end of the expiration), more than {} at the \
          end of {DOUBTFUL_BREATHS} expirations in a row (the one closer to PEEP counts), or more than {} and {} % \
          at the end of {APART_BREATHS} inspirations in a row (the one that fits the gas counts)",
         number(FAR_APART),
@@ -111,11 +112,13 @@ fn responses() -> Vec<Conditions> {
     let no_response = format!(
         "for {} ms less than {} % of a predicted rise of more than {} cmH2O, or for {} ms no change over \
          the last {} ms although such a rise is predicted; not if two pressure sensors agree, the gas \
-         reaches the patient, and the pressure is up, less than {} cmH2O are missing, or the lung has not \
-         been estimated from {} inspirations, at least one begun by the clock. Or no change by more than {} \
+         reaches the patient, and the pressure is up, less than {} cmH2O are missing, the lung refills after \
+         a strain, or it has not been estimated from {} inspirations, at least one begun by the clock; nor if \
+         they have fallen by more than {}. If gas may have been lost, the inspiration ends, and its expiration \
+         tells: only gas that comes back should have raised the pressure. Or no change by more than {} \
          cmH2O in an inspiration from more than {} above PEEP whose gas raises the pressure by {}, or in an \
          expiration whose gas lowers it by {}; or such a pressure at the end of {} expirations in a row, of \
-         which the gas in the lung explains less than {} %",
+         which the gas in the lung explains less than {} %, or for {} s while no gas comes out",
         ms(lung::UNANSWERED),
         percent(lung::ANSWER),
         number(lung::TELLING_RISE),
@@ -123,12 +126,14 @@ fn responses() -> Vec<Conditions> {
         lung::WINDOW,
         number(supervisor::EFFORT),
         lung::KNOWN,
+        number(breath::ABOVE_PEEP),
         number(standing::MOVES),
         number(breath::ABOVE_PEEP),
         number(lung::TELLING_RISE),
         number(standing::FALL),
         expiration::IN_A_ROW,
-        percent(standing::EXPLAINED)
+        percent(standing::EXPLAINED),
+        number(pressure::AWAY)
     );
     let backup = "no pressure sensor is sound, or none responds: the volume of the last good breaths is \
                   delivered, or without a sound flow sensor their mean commands are repeated";
@@ -212,14 +217,15 @@ fn baselines() -> Vec<Conditions> {
 fn inspirations() -> Vec<Conditions> {
     let low = format!(
         "less than {} % of the rise from PEEP to PIP, with a command above {} %, at the end of {} \
-         inspirations in a row",
+         inspirations in a row; or less than {} % of it while a noisy reading caps the command",
         percent(breath::REACHED),
         number(breath::WIDE_OPEN),
-        breath::WEAK_BREATHS
+        breath::WEAK_BREATHS,
+        percent(breath::CAPPED)
     );
     let disconnection = format!(
         "{} s of inspirations ({} s with a capped command) at less than {} % of PEEP and more than {} cmH2O \
-         below it, with a command above {} %; or an inspiration that ends at such a pressure, or below {} \
+         below it, with a command above {} %, unless the flow sensor shows no flow to the patient; or an inspiration that ends at such a pressure, or below {} \
          cmH2O, less than {} % of whose gas comes back by the end of the breath, or within {} s; until the \
          patient is back, the PID probes with a capped command",
         number(breath::DISCONNECTED),
@@ -323,9 +329,10 @@ fn gas() -> Vec<Conditions> {
     );
     let lost = format!(
         "no number in more than {} % of a breath's flow readings; or the same reading throughout a breath, \
-         volumes in {} breaths in a row that the valve's gas contradicts, or more than {} L/s out than in for \
+         or for {} s from a sensor with noise, volumes in {} breaths in a row that the valve's gas contradicts, or more than {} L/s out than in for \
          {} breaths; volumes and leaks are not monitored until it is back",
         percent(1.0 - MEASURED),
+        number(flow_monitor::STANDS),
         number(flow_monitor::BELIED),
         number(flow_monitor::NET),
         number(flow_monitor::ONLY_OUT)

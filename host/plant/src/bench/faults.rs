@@ -126,7 +126,7 @@ impl Bench {
                 self.valve.supply(1.0 - (1.0 - least) * fallen);
             }
             Faulty::LeakInPhase { inspiration, l_per_s } if inspiration != u_out => {
-                self.circuit.fail(l_per_s)
+                self.circuit.fail(l_per_s);
             }
             Faulty::LeakInPhase { .. } => self.circuit.repair(),
             _ => {}

@@ -43,7 +43,7 @@ impl Run {
                 (self.leak.1 - 0.5 * self.lung, self.leak.1 + 0.02)
             };
             let noise = 0.002 * ((tick * 7 % 5) as f32 - 2.0);
-            self.state.add(sensor(flow + noise), valve, inspires);
+            self.monitor.add(&mut self.state, sensor(flow + noise), valve, inspires);
         }
         if let Some(rise) = self.rise {
             self.state.rose(rise);
@@ -96,6 +96,21 @@ fn a_reading_that_stands_still_with_noise_is_lost_after_two_breaths() {
         assert_eq!(Run::known().lost_after(noisy(constant)), Some(2), "{constant} L/s");
         assert_eq!(Run::new().lost_after(noisy(constant)), Some(2), "{constant} L/s from the start");
     }
+}
+
+#[test]
+fn a_reading_with_noise_that_repeats_itself_is_lost_within_the_breath() {
+    let ticks = |noisy: bool, flow: &dyn Fn(u32) -> f32| {
+        let mut run = Run::known();
+        run.state.noisy = noisy;
+        (1..=100).find(|tick| {
+            run.monitor.add(&mut run.state, flow(*tick), 0.3, false);
+            run.state.is_lost()
+        })
+    };
+    assert_eq!(ticks(true, &|_| 0.2), Some(11), "100 ms after the first");
+    assert_eq!(ticks(false, &|_| 0.2), None, "a sensor without noise may repeat itself");
+    assert_eq!(ticks(true, &|tick| 0.2 + 1e-3 * (tick % 2) as f32), None);
 }
 
 #[test]
@@ -176,7 +191,7 @@ fn without_its_pressure_a_breath_tells_nothing_of_the_gas() {
     for tick in 0..3 * (TICKS.0 + TICKS.1) {
         // The supply is lost: the valve is open, and nothing comes.
         let (inspires, noise) = (tick % 300 < TICKS.0, 0.002 * ((tick * 7 % 5) as f32 - 2.0));
-        run.state.add(noise, if inspires { 1.6 } else { 0.0 }, inspires);
+        run.monitor.add(&mut run.state, noise, if inspires { 1.6 } else { 0.0 }, inspires);
         if tick % 300 == 299 {
             run.state.start_breath();
             assert_eq!(run.monitor.judge(&mut run.state, false), None);
@@ -232,7 +247,7 @@ fn what_a_constant_shows_in_an_inspiration_has_not_reached_the_patient() {
     let mut run = Run::known();
     run.breath(|_| 0.3);
     let reached = |run: &mut Run, flow: f32| {
-        (0..100).for_each(|_| run.state.add(flow, 0.0, true));
+        (0..100).for_each(|_| run.monitor.add(&mut run.state, flow, 0.0, true));
         run.state.reached(0.01)
     };
     assert!(reached(&mut run, 0.3).abs() < 0.1);
@@ -256,10 +271,10 @@ fn a_swing_has_no_offset_and_is_that_of_the_lung() {
 fn missing_readings_are_no_part_of_a_breath() {
     let mut run = Run::known();
     assert_eq!(run.lost_after(|_| f32::NAN), None, "another monitor finds that");
-    (0..3).for_each(|_| run.state.add(0.1, 0.0, true));
+    (0..3).for_each(|_| run.monitor.add(&mut run.state, 0.1, 0.0, true));
     run.state.start_breath();
     for tick in 0..300 {
-        run.state.add(if tick % 3 == 0 { f32::NAN } else { 0.1 }, 0.0, tick < 100);
+        run.monitor.add(&mut run.state, if tick % 3 == 0 { f32::NAN } else { 0.1 }, 0.0, tick < 100);
     }
     run.state.start_breath();
     assert!(run.state.last.is_frozen(false));

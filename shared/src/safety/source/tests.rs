@@ -138,6 +138,52 @@ fn far_apart_for_20_ms_the_higher_one_counts() {
     assert_eq!(run.ticks(1000, 20.0, 29.0).findings, [None; 3], "the tube's drop at full flow");
 }
 
+/// Ticks of an inspiration with a flow of the valve, at the pressures of airway and outlet by the tick; the last choice.
+fn inspiration(run: &mut Run, pressures: impl Fn(u32) -> (f32, f32)) -> Chosen {
+    let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
+    let choices = (0..300).map(|tick| {
+        let (airway, outlet) = pressures(tick);
+        let noise = |shift: u32| 0.07 * (((tick + shift) * 7 % 5) as f32 - 2.0);
+        let readings = Readings { airway: airway + noise(0), outlet: outlet + noise(2), flow: 0.5 };
+        let chosen = run.source.check(&mut run.state, &readings, Expected::Any, 0.5);
+        run.source.record(&mut run.state, &breath.at(tick), 50, &readings, 0.5);
+        chosen
+    });
+    choices.last().unwrap_or_default()
+}
+
+#[test]
+fn while_gas_goes_in_the_sensor_that_follows_it_is_believed_until_rest_tells_more() {
+    let rises = |tick: u32| PEEP + (0.3 * tick as f32).min(20.0);
+    let lags = |tick: u32| rises(tick.saturating_sub(100));
+    let mut run = Run::new();
+    run.ticks(100, PEEP, PEEP);
+    assert!(near(inspiration(&mut run, |tick| (lags(tick.min(160)), rises(tick))), 25.0));
+    assert!(run.state.undecided && !run.state.airway.is_sound() && run.state.outlet.is_sound());
+    assert!(near(run.ticks(100, 20.0, 8.0), 8.0), "in the fall it lags as well");
+    assert!((0..2).all(|_| !run.expiration(PEEP, PEEP, 0.0)) && run.state.airway.doubted);
+    run.expiration(PEEP, PEEP, 0.0);
+    assert!(!run.state.airway.doubted && !run.state.undecided, "agreed in three expirations");
+    // An offset follows the gas: PEEP tells which one has it, in one expiration.
+    let mut run = Run::new();
+    run.ticks(100, PEEP, 12.0 + PEEP);
+    assert!(near(inspiration(&mut run, |tick| (rises(tick), 12.0 + rises(tick))), 37.0));
+    assert!(!run.state.undecided, "the higher one counts");
+    // One that stands still does not follow, and an expiration elsewhere decides at once.
+    let mut run = Run::new();
+    run.ticks(100, 8.0, PEEP);
+    assert!(near(inspiration(&mut run, |tick| (8.0, rises(tick))), 25.0) && run.state.undecided);
+    assert!(run.expiration(8.0, PEEP, 0.0) && run.state.airway.doubted);
+}
+
+#[test]
+fn a_sensor_in_use_is_denied_while_the_other_one_reads_far_from_it() {
+    let mut run = Run::new();
+    run.ticks(100, PEEP, PEEP);
+    let denied = [14.0, 16.0, f32::NAN].map(|outlet| run.tick(PEEP, outlet).denied.map(f32::round));
+    assert_eq!(denied, [None, Some(16.0), None]);
+}
+
 #[test]
 fn after_two_expirations_the_sensor_closer_to_peep_is_believed() {
     for (airway, outlet, believed) in
@@ -243,13 +289,13 @@ fn a_hum_around_peep_is_a_difference_and_the_humming_sensor_is_wrong() {
 }
 
 #[test]
-fn a_reading_continues_the_last_one_of_the_same_sensor_only() {
+fn a_reading_follows_the_last_one_of_the_same_sensor_only() {
     let mut run = Run::new();
-    assert!(!run.tick(20.0, 23.0).continues && run.tick(20.0, 23.0).continues);
-    assert!(!run.tick(f32::NAN, 23.0).continues && !run.tick(20.0, 23.0).continues, "a gap");
-    assert!(run.tick(20.0, 23.0).continues);
-    let changes = (0..40).map(|_| run.tick(8.0, 23.0).continues).filter(|continues| !continues).count();
-    assert_eq!(changes, 1, "the other sensor, which is higher");
+    let follows = [20.0, 20.0, f32::NAN, 20.0, 20.0].map(|airway| run.tick(airway, 23.0).follows);
+    let (gap, same) = (Follows::Gap, Follows::Same);
+    assert_eq!(follows, [gap, same, gap, gap, same]);
+    let others = (0..40).filter(|_| run.tick(8.0, 23.0).follows == Follows::Other).count();
+    assert_eq!(others, 1, "the one that is higher");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Whether the pressure answers to the gas, and what follows if it does not.
 
 use super::super::alarms::Fault;
-use super::super::breath_monitor::may_be_open;
+use super::super::breath_monitor::{ABOVE_PEEP, COMES_BACK, may_be_open};
 use super::state::Cut;
 use super::{EFFORT, RESPONSE, Supervisor, SupervisorState};
 use crate::sensor::Readings;
@@ -31,14 +31,33 @@ impl Supervisor {
         let rise = pressure - settings.peep;
         let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
         let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < EFFORT;
-        let reaches = flow < LITTLE_FLOW || readings.flow >= REACHES * flow;
-        if reaches && drawn_in && !still && state.source.are_both_sound() {
+        // Of the gas that the valve really gives: its curve differs from the model's.
+        let shown = readings.flow >= REACHES * state.flow.usual_share() * flow;
+        // A flow sensor that is out of use denies nothing.
+        let reaches = flow < LITTLE_FLOW || shown || state.flow.is_lost();
+        // A pressure that falls is that of a patient who relaxes after a strain.
+        let falls = state.standing.highest() - pressure > ABOVE_PEEP;
+        let refills = state.lung.volume() < state.volumes.deficit();
+        let agree = !still && state.source.are_both_sound();
+        if agree && (falls || (reaches && (drawn_in || refills))) {
             return;
         }
-        if readings.flow >= LITTLE_FLOW && reaches && may_be_open(pressure, settings.peep) {
+        let moves = agree && state.standing.has_moved();
+        let escapes = moves || (reaches && may_be_open(pressure, settings.peep));
+        if !(readings.flow >= LITTLE_FLOW && escapes) || state.unresponsive.is_some() {
+            self.lose_response(state);
+        } else if !state.leaks_away {
             state.cut = Cut::InDoubt;
             state.breath.doubt();
-        } else {
+        }
+    }
+
+    /// Ends a breath that was ended in doubt: if its gas has come out of the lung, the pressure should have answered. If not, a leak has
+    /// taken it, and the next breaths go on.
+    pub(super) fn end_doubt(&self, state: &mut SupervisorState) {
+        let comes_back = state.volumes.expired_share().is_none_or(|share| share >= COMES_BACK);
+        state.leaks_away = !comes_back;
+        if comes_back && !state.breath.is_disconnected() {
             self.lose_response(state);
         }
     }

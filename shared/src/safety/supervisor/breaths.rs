@@ -34,10 +34,8 @@ impl Supervisor {
         if let Some(fault) = state.ladder.breath_ended(state.cut == Cut::ByGas) {
             self.report(state, fault);
         }
-        if state.cut == Cut::InDoubt && !state.breath.is_disconnected() {
-            self.lose_response(state);
-        }
-        state.cuts = in_a_row(state.cuts, state.cut() && state.cut != Cut::InDoubt);
+        let in_doubt = state.cut == Cut::InDoubt;
+        state.cuts = in_a_row(state.cuts, state.cut() && !in_doubt);
         if state.cuts >= CUTS_MAX {
             self.report(state, Fault::HighPressure);
         }
@@ -58,6 +56,9 @@ impl Supervisor {
         state.backup.start_breath();
         state.volumes.start_breath();
         state.volumes.limit_exchange(self.flow.swing(&state.flow));
+        if in_doubt {
+            self.end_doubt(state);
+        }
         let expired = state.volumes.expired_share();
         let swings = state.standing.swings();
         self.expiration.start_breath(&mut state.expiration, expired, swings);
@@ -112,6 +113,7 @@ impl Supervisor {
                 state.ladder.step_down(Level::Pid);
             }
         } else if rise >= GOOD_RISE * whole && state.standing.has_moved() {
+            state.leaks_away = false;
             state.lung.forget_false(pressure);
             state.backup.accept(breath);
             if rise >= FULL_RISE * whole {
@@ -130,7 +132,12 @@ impl Supervisor {
 
     /// Learns the leak from the gas that the last breath lost, unless the flow sensor is in doubt.
     pub(super) fn learn_leak(&self, state: &mut SupervisorState, settings: &Settings) {
-        let shown = !state.flow.is_doubtful() && !state.breath.is_disconnected();
+        // Gas that is missing while some still flows out, or hardly any above PEEP, is in the lung.
+        let blocked = state.expiration.incomplete() > 0 && state.volumes.hardly_any_comes_out();
+        let shown = state.expiration.has_emptied()
+            && !blocked
+            && !state.flow.is_doubtful()
+            && !state.breath.is_disconnected();
         let Some(loss) = state.volumes.loss().filter(|_| shown) else { return };
         let Settings { peep, expiratory_bias, .. } = *settings;
         if self.expiration.learn_leak(&mut state.expiration, (peep, expiratory_bias), loss) {
@@ -184,8 +191,10 @@ impl Supervisor {
         // Of a breath that the limit has ended, the gas comes out earlier.
         let judged = state.cuts == 0 && state.level() != Level::Backup && !state.breath.is_disconnected();
         let Some(elastance) = state.backup.elastance().filter(|_| judged) else { return };
-        let denied = state.standing.denies_outflow(expired, elastance)
-            || (baselines == IN_A_ROW && state.standing.denies_balance(settings.peep, elastance));
+        let stands = baselines == IN_A_ROW && state.standing.denies_balance(settings.peep, elastance);
+        let away = state.gas == Gas::Stays && self.pressure.is_away(&state.pressure);
+        let lies = away && state.standing.lacks_gas(settings.peep, elastance);
+        let denied = stands || lies || state.standing.denies_outflow(expired, elastance);
         if denied {
             self.disbelieve(state, readings);
         }
@@ -193,7 +202,7 @@ impl Supervisor {
 
     /// Compares the volume of the last breath with those before.
     pub(super) fn check_reference(&self, state: &mut SupervisorState, settings: &Settings) {
-        let sound = state.flow_sound && !state.flow.is_doubtful();
+        let sound = state.flow_sound && state.flow.is_comparable();
         let SupervisorState { reference, volumes, .. } = state;
         if let Some(fault) = reference.check(volumes, sound, self.period, settings) {
             self.report(state, fault);

@@ -1,6 +1,7 @@
 //! The supervisor's state as others see it: the alarms, the level of the ladder, and the running breath.
 
 use super::{Belief, SupervisorState};
+use crate::breath::Moment;
 use crate::safety::alarms::Fault;
 use crate::safety::indications::Indications;
 use crate::safety::ladder::Level;
@@ -87,6 +88,12 @@ impl SupervisorState {
     pub(super) fn stands_still(&self, peep: f32) -> bool {
         let rise = |elastance| elastance * self.lung.volume() > TELLING_RISE;
         self.standing.stands_above(peep) && self.backup.elastance().is_some_and(rise)
+    }
+
+    /// Volume that has reached the patient so far in the breath, mL; none if the flow is not measured.
+    pub(super) fn reached(&self, moment: &Moment) -> Option<f32> {
+        let most = self.flow.reached(moment.breath.period_s());
+        self.volumes.inspired().map(|all| all.min(most))
     }
 
     /// Ticks for which the expiratory valve has been commanded open; it is open before the first command.

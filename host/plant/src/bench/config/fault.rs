@@ -280,7 +280,7 @@ fn failure_number(failure: Failure) -> Option<Number> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+
     use crate::bench::BenchConfig;
 
     fn refused(fault: &str) -> String {
@@ -290,14 +290,14 @@ mod tests {
     #[test]
     fn a_description_with_faults_comes_back_from_its_text() {
         let text = include_str!("fault.rs");
-        let example: String = text
+        let example: Vec<_> = text
             .lines()
             .skip_while(|line| !line.contains("```toml"))
             .skip(1)
             .take_while(|line| !line.contains("```"))
-            .map(|line| format!("{}\n", line.trim_start_matches("//!")))
+            .map(|line| line.trim_start_matches("//!"))
             .collect();
-        let bench = BenchConfig::from_toml(&example).unwrap();
+        let bench = BenchConfig::from_toml(&example.join("\n")).unwrap();
         assert_eq!(bench.faults.len(), 3);
         assert_eq!(BenchConfig::from_toml(&bench.to_toml()).unwrap(), bench);
         assert!(!BenchConfig::default().to_toml().contains("faults"), "a sound bench reads as before");

@@ -11,9 +11,9 @@ fn tube(peep: f32, pressures: (f32, f32), gas: (Option<f32>, f32)) -> Vec<(usize
     let ticks = 0..breath.total_ticks();
     let input = |tick| {
         let pressure = if breath.phase(tick) == Phase::Inspiration { pressures.0 } else { pressures.1 };
-        let (reached, returned) = gas;
+        let (inspired, returned) = gas;
         // Too little for what flows at once to be a disconnection.
-        BreathInput { pressure, command: FILLING, reached, returned, ..GOOD.at(&breath, tick) }
+        BreathInput { pressure, command: FILLING, inspired, returned, ..GOOD.at(&breath, tick) }
     };
     let mut found: Vec<_> =
         ticks.map(|tick| (tick as usize, monitor.check(&mut state, &input(tick)))).collect();
@@ -47,7 +47,7 @@ fn gas_has_two_seconds_to_come_back() {
         (0..breath.total_ticks()).find(|tick| {
             let returned = if *tick < 3000 { 0.0 } else { returned };
             let input =
-                BreathInput { pressure: 0.2, reached: Some(300.0), returned, ..GOOD.at(&breath, *tick) };
+                BreathInput { pressure: 0.2, inspired: Some(300.0), returned, ..GOOD.at(&breath, *tick) };
             monitor.check(&mut state, &input) == Some(Fault::Disconnection)
         })
     };
@@ -65,7 +65,7 @@ fn the_end_of_the_inspiration_tells_whether_the_tube_is_open() {
                 state.doubt();
             }
             let cut = doubt && tick >= 999;
-            let input = BreathInput { pressure, cut, reached: Some(300.0), ..GOOD.at(&breath, tick) };
+            let input = BreathInput { pressure, cut, inspired: Some(300.0), ..GOOD.at(&breath, tick) };
             monitor.check(&mut state, &input) == Some(Fault::Disconnection)
         })
     };

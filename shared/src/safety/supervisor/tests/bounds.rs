@@ -330,24 +330,26 @@ fn filled_after(inspirations: u32, predicted: f32, second_sensor: bool) -> Run {
     run
 }
 
-/// Whether a pressure without a response raises the alarm, while the flow sensor shows a share of the valve's flow.
+/// Whether a pressure without a response raises the alarm, or ends the inspiration in doubt, while the flow sensor shows a share of the valve's flow.
 fn is_missing(mut run: Run, pressure: f32, share: f32, second_sensor: bool) -> bool {
     let flow = share * run.state.lung.flow();
     let outlet = if second_sensor { pressure } else { f32::NAN };
     let readings = Readings { airway: pressure, outlet, flow };
+    // As if it had never risen: a pressure that falls is another matter.
+    run.state.standing = Standing::default();
     run.supervisor.unresponsive(&mut run.state, pressure, &readings, breath().settings(), false);
-    run.state.indications().present().has(Fault::NoResponse)
+    run.state.indications().present().has(Fault::NoResponse) || run.state.cut == Cut::InDoubt
 }
 
 #[test]
 fn gas_that_a_patient_draws_in_is_no_missing_response() {
     let missing = |share: f32, predicted: f32, second_sensor: bool| {
         let run = filled_to(predicted, second_sensor);
-        assert!((0.7..0.83).contains(&run.state.lung.flow()), "L/s at 60 %, less the back-pressure");
-        is_missing(run, 5.0, share, second_sensor)
+        assert!((0.69..0.83).contains(&run.state.lung.flow()), "L/s at 60 %, less the back-pressure");
+        is_missing(run, 8.0, share, second_sensor)
     };
     assert!(!missing(0.5, 12.0, true) && missing(0.49, 12.0, true), "half of the flow reaches the patient");
-    assert!(!missing(1.0, 39.5, true) && missing(1.0, 40.0, true), "no effort takes away 40 cmH2O");
+    assert!(!missing(1.0, 42.5, true) && missing(1.0, 43.0, true), "no effort takes away 40 cmH2O");
     assert!(missing(1.0, 12.0, false), "nothing confirms the only sensor");
     let risen = |predicted: f32| is_missing(filled_to(predicted, true), 9.0, 1.0, true);
     assert!(!risen(43.5) && risen(44.0), "4 of 44 are there");
@@ -381,10 +383,14 @@ fn a_leak_is_learned_from_a_connected_patient_alone() {
         run.breathe(0..1, 5.0, ControlOutput::plain(50.0));
         run.breathe(1..700, if disconnected { 0.0 } else { 15.0 }, ControlOutput::plain(50.0));
         assert_eq!(run.state.breath.is_disconnected(), disconnected);
-        // 0.2 L in 1 s at 9 cmH2O, of which nothing comes out.
-        run.state.volumes = Volumes::default();
-        run.state.volumes.add(0.2, 9.0, 0.0, 1.0);
-        (0..3).for_each(|tick| _ = run.check(5.0, Some(tick)));
+        let pressure = if disconnected { 0.0 } else { 5.0 };
+        for _ in 0..2 {
+            (2900..3000).for_each(|tick| _ = run.check(pressure, Some(tick)));
+            // 0.2 L in 1 s at 9 cmH2O, of which nothing comes out.
+            run.state.volumes = Volumes::default();
+            run.state.volumes.add(0.2, 9.0, 0.0, 1.0);
+            (0..3).for_each(|tick| _ = run.check(pressure, Some(tick)));
+        }
         run.state.expiration.compensation()
     };
     assert!(learned(false) > 10.0 && learned(true).abs() < 1e-6);
@@ -442,7 +448,7 @@ fn into_the_room(comes_back: bool) -> (Option<u32>, FaultSet) {
             flow if inspires && !run.state.cut() => flow,
             _ => {
                 if returns {
-                    -0.5
+                    -1.5
                 } else {
                     0.0
                 }

@@ -3,6 +3,9 @@
 use super::*;
 use crate::safety::lung_estimator::command_for;
 
+/// Ticks at the end of an expiration in which the lung has emptied.
+const EMPTY: u32 = 500;
+
 /// A passive patient who leaks.
 struct Patient {
     run: Run,
@@ -27,8 +30,13 @@ impl Patient {
         let mut alarms = Vec::new();
         for tick in (0..count).flat_map(|_| 0..total) {
             let inspires = tick < inspiration;
-            let flow =
-                if inspires { volume / 1000.0 } else { (self.kept - volume) / (total - inspiration) as f32 };
+            let flow = if inspires {
+                volume / 1000.0
+            } else if tick < total - EMPTY {
+                (self.kept - volume) / (total - EMPTY - inspiration) as f32
+            } else {
+                0.0
+            };
             let (leak, airway) = (3.0 * self.leak, self.settings.peep + self.above + dither(tick));
             let readings = Readings { airway, outlet: f32::NAN, flow: flow + leak };
             let Run { supervisor, state, .. } = &mut self.run;
@@ -105,7 +113,11 @@ fn tick_at(run: &mut Run, tick: u32, airway: f32, share: f32) {
 /// A tick at a command, percent, with a share of the valve's flow, and a flow out of the lung, L/s.
 fn tick_with(run: &mut Run, tick: u32, airway: f32, (command, share, out): (f32, f32, f32)) {
     let inspires = breath().phase(tick) == Phase::Inspiration;
-    let flow = if inspires { share * run.state.lung.valve_flow() } else { -out };
+    let flow = match tick {
+        _ if inspires => share * run.state.lung.valve_flow(),
+        1000..2500 => -4.0 / 3.0 * out,
+        _ => 0.0,
+    };
     run.check_all(Readings { airway, outlet: f32::NAN, flow }, Some(tick));
     run.filter(ControlOutput::plain(if inspires { command } else { 0.0 }), !inspires);
 }
