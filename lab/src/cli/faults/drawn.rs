@@ -134,7 +134,7 @@ impl DrawArgs {
                         .with_context(|| format!("cannot write {}", file.display()))?;
                 }
                 None => {
-                    context.line(&format!("the first failure, made small; run it with --case FILE:\n{text}"))
+                    context.line(&format!("the first failure, made small; run it with --case FILE:\n{text}"));
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! What faults are called, and the alarms that name them.
 
 use shared::safety::alarms::Fault;
+use shared::settings::Settings;
 
 use super::case::Case;
 use plant::bench::{Distortion, Failure, Faulty, Signal};
@@ -46,6 +47,8 @@ const VALVE: &[&str] = &[
     "backup-ventilation",
 ];
 const CLOCK: &[&str] = &["missed-ticks"];
+/// Share of the rise that a breath needs.
+const LEAST_RISE: f32 = 0.1;
 
 impl Case {
     /// Names of its faults, without their numbers, in alphabetical order: cases of one class have the same.
@@ -63,8 +66,36 @@ impl Case {
 
     /// Whether an alarm names one of its faults, or a consequence.
     pub fn is_named_by(&self, alarm: Fault) -> bool {
-        let of_bench = self.bench.faults.iter().any(|fault| names(&fault.what, alarm.alarm().id));
-        of_bench || (self.stalls.is_some() && CLOCK.contains(&alarm.alarm().id))
+        let id = alarm.alarm().id;
+        let of_bench = self.bench.faults.iter().any(|fault| names(&fault.what, id));
+        // With a fault in each of them, no third sensor tells what the pressure is.
+        let both = [Signal::Airway, Signal::Outlet].into_iter().all(|signal| self.has_fault_of(signal));
+        // Without a flow sensor a lost supply looks like an open tube.
+        let supply =
+            |what: &Faulty| matches!(what, Faulty::Part(Failure::SupplyLost | Failure::SupplyFalls(_)));
+        let lost =
+            self.bench.faults.iter().any(|fault| supply(&fault.what)) && self.has_fault_of(Signal::Flow);
+        of_bench
+            || (lost && LEAK.contains(&id))
+            || (both && PRESSURES.contains(&id))
+            || (self.stalls.is_some() && CLOCK.contains(&alarm.alarm().id))
+    }
+
+    /// Whether all pressure sensors read wrong by one cause: then none of them is another's witness.
+    pub fn is_of_a_common_cause(&self) -> bool {
+        self.has_fault_of(Signal::Pressures) || self.has_fault_of(Signal::Converter)
+    }
+
+    fn has_fault_of(&self, sensor: Signal) -> bool {
+        let is_of = |what: &Faulty| matches!(what, Faulty::Sensor { signal, .. } if *signal == sensor);
+        self.bench.faults.iter().any(|fault| is_of(&fault.what))
+    }
+
+    /// Whether a PEEP valve is stuck where no breath is left between it and PIP: less than a tenth of the rise.
+    fn is_shut(&self, what: &Faulty) -> bool {
+        let Settings { pip, peep, .. } = self.settings;
+        let least = f64::from(pip - LEAST_RISE * (pip - peep));
+        matches!(what, Faulty::Part(Failure::PeepValveStuck(at)) if *at > least)
     }
 
     /// Whether a valve or the way out does not obey, so that no command keeps the pressure down.
@@ -79,7 +110,7 @@ impl Case {
                         | Failure::FilterClogged
                         | Failure::FilterNarrowed(_)
                 )
-            )
+            ) || self.is_shut(&fault.what)
         })
     }
 }
@@ -110,7 +141,9 @@ fn names(what: &Faulty, alarm: &str) -> bool {
         Faulty::LeakInPhase { .. } => has(&[LEAK, SMALL]),
         Faulty::Lung { .. } => has(&[SMALL, &["baseline-high", "tidal-volume-high", "minute-volume-high"]]),
         Faulty::Strain(_) => {
-            has(&[SMALL, &["high-pressure", "hard-limit", "baseline-high", "baseline-low", "reading-range"]])
+            // A strain can leave the range of the sensors, which are not used then.
+            let reads = &["reading-range", "backup-ventilation"];
+            has(&[SMALL, reads, &["high-pressure", "hard-limit", "baseline-high", "baseline-low"]])
         }
     }
 }

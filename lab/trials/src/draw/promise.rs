@@ -8,7 +8,7 @@ use shared::safety::alarms::{Fault, Priority};
 use shared::safety::monitors::Monitors;
 
 use super::case::Case;
-use super::run::{Observed, Window, all_known, run, sound};
+use super::run::{Observed, Window, all_known, run, sound, window_s};
 use crate::endure::deserved::Verdict;
 use ventilator::SourceError;
 
@@ -16,6 +16,8 @@ use ventilator::SourceError;
 const ABOVE_MS: u32 = 300;
 /// Share of the volume that the machine can still give.
 const SHARE: f64 = 0.8;
+/// Breaths in a window below which two in a row are judged.
+const FEW_BREATHS: f64 = 5.0;
 /// Volume of a window below which nothing is given, mL.
 const LEAST_ML: f64 = 1.0;
 /// Share of the volume before a fault of machine or patient below which breaths have become small, and windows after which an alarm
@@ -29,7 +31,7 @@ const SMALL_WINDOWS: usize = 4;
 pub enum Promise {
     /// Where the valves obey, the pressure is never more than 15 cmH2O above its limit for longer than 300 ms.
     Pressure,
-    /// The patient gets 80 % of what the machine can still give, or a high-priority alarm names the cause within two breaths or 15 s;
+    /// The patient gets 80 % of what the machine can still give at the set rate, or a high-priority alarm names the cause within two breaths or 15 s;
     /// and a loss of a third to a fault of machine or patient is an alarm within a minute.
     Volume,
     /// Nothing is latched unless a valve, or the way out, does not obey.
@@ -118,18 +120,21 @@ fn starved(case: &Case, seen: &Observed, able: &Observed, sound: &Observed) -> O
     };
     // The last window may be short, and there is none after it in which an alarm could come.
     let whole = seen.windows.len().min(able.windows.len()).min(sound.windows.len()).saturating_sub(2);
+    // Breaths that a patient adds to the set rate are his own: a fault may hide an effort.
+    let set = window_s(case) * f64::from(case.settings.rate) / 60.0;
+    let promised = |window: &Window| window.volume_ml * (set / f64::from(window.breaths.max(1))).min(1.0);
     // Where nothing can be given, nothing is missing.
-    let share = |of: &Observed, place: usize| match of.windows[place].volume_ml {
+    let share = |of: &Observed, place: usize| match promised(&of.windows[place]) {
         little if little < LEAST_ML => 1.0,
         volume_ml => seen.windows[place].volume_ml / volume_ml,
     };
-    for place in 0..whole {
+    // One breath more or less is much of a window with few of them.
+    let others = usize::from(set < FEW_BREATHS);
+    for place in 0..whole.saturating_sub(others) {
         let told = (place..=place + 1).any(|near| named(&seen.windows[near], Priority::High));
-        if share(able, place) < SHARE && !told {
-            return Some(format!(
-                "{:.0} % of what could be given, window {place}",
-                100.0 * share(able, place)
-            ));
+        let most = (place..=place + others).map(|place| share(able, place)).fold(0.0, f64::max);
+        if most < SHARE && !told {
+            return Some(format!("{:.0} % of what could be given, window {place}", 100.0 * most));
         }
     }
     for start in 0..(whole + 1).saturating_sub(SMALL_WINDOWS) {

@@ -46,6 +46,8 @@ pub struct Observed {
 pub struct Window {
     /// Gas that went into the lung, mL.
     pub volume_ml: f64,
+    /// Breaths that began.
+    pub breaths: u32,
     /// Alarms that were indicated: present, or not yet acknowledged.
     pub indicated: FaultSet,
 }
@@ -79,6 +81,8 @@ struct Run<'a> {
     onset_s: f64,
     window_s: f64,
     tick: u32,
+    /// Whether a breath has begun in this tick.
+    begins: bool,
     observed: Observed,
 }
 
@@ -108,6 +112,7 @@ pub fn run(case: &Case, onset_s: f64, monitors: Monitors) -> Result<Observed, So
         onset_s,
         window_s: window_s(case),
         tick: 0,
+        begins: false,
         observed: Observed { alarms: Vec::new(), windows: Vec::new(), above_ms: 0, peak: 0.0, latched: None },
         case,
     };
@@ -143,6 +148,7 @@ impl Run<'_> {
         let state = self.device.rig.control.state();
         if begins {
             self.history.start_breath(state.breath().settings());
+            self.begins = true;
         }
         self.tick = output.sample.map_or(0, |sample| sample.tick);
         if let Some(fault) = output.alarm {
@@ -186,6 +192,7 @@ impl Run<'_> {
             let place = ((time_s - self.onset_s) / self.window_s) as usize;
             observed.windows.resize(observed.windows.len().max(place + 1), Window::default());
             let window = &mut observed.windows[place];
+            window.breaths += u32::from(std::mem::take(&mut self.begins));
             window.volume_ml += truth.flow_lung.max(0.0);
             let indicated = rig.control.state().indications().indicated().bits();
             window.indicated = FaultSet::from_bits(window.indicated.bits() | indicated);

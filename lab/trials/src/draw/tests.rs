@@ -128,3 +128,30 @@ fn a_case_is_shrunk_to_the_fault_that_matters() {
     assert_eq!(small.bench.faults.len(), 1, "{}", small.to_toml());
     assert!(breaks(&small).contains(&promise));
 }
+
+#[test]
+fn drawn_cases_keep_their_promises_but_for_a_common_cause() {
+    let generator = Generator::new(11).unwrap();
+    for number in 0..120 {
+        let case = generator.draw(number);
+        let found = broken(&case, Monitors::ALL).unwrap();
+        assert!(
+            found.is_empty() || case.is_of_a_common_cause(),
+            "case {number}: {found:?}\n{}",
+            case.to_toml()
+        );
+    }
+}
+
+#[test]
+fn a_common_cause_is_one_of_all_pressure_sensors() {
+    let of = |signal: &str| {
+        let noise =
+            format!("what = {{ sensor = {{ signal = \"{signal}\", distortion = {{ noise = 0.1 }} }} }}");
+        case(&format!("[[bench.faults]]\nfrom_s = 20\n{noise}")).is_of_a_common_cause()
+    };
+    assert_eq!(
+        ["airway", "outlet", "flow", "pressures", "converter"].map(of),
+        [false, false, false, true, true]
+    );
+}

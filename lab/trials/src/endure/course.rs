@@ -6,6 +6,7 @@ use shared::device::prescription::PrescriptionMemory;
 use shared::safety::alarms::Fault;
 use shared::safety::ladder::Level;
 use shared::safety::monitors::Monitors;
+use shared::safety::supervisor::JUDGED;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, VentilatorState};
 
@@ -28,8 +29,6 @@ const HOST_ASKS_EVERY: u32 = 1000;
 const RESTARTED_AFTER: u32 = 10_000;
 /// Longest gap without a delivered breath that is no interruption, s.
 const APNOEA: f64 = 20.0;
-/// Tick of a breath in which the device has judged the last one.
-const CHECKED_AT: u32 = 2;
 /// Breaths of the passive patient per setting: to settle, and in all.
 const SOUND_BREATHS: (f64, f64) = (4.0, 14.0);
 
@@ -233,7 +232,7 @@ impl<'a> Stay<'a> {
             self.result.count(fault, verdict);
             self.tell(&Event::Alarm(fault, verdict), ms, observer);
         }
-        if output.sample.is_some() && self.at.1 == CHECKED_AT {
+        if output.sample.is_some() && self.at.1 == JUDGED {
             self.find_missed(ms, observer);
         }
         if output.mode == Mode::Ventilating {

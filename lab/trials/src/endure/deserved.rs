@@ -93,7 +93,9 @@ fn deserved(fault: Fault, history: &History) -> bool {
         Fault::Occlusion => twice(history, |breath| occluded(breath, history.lung())),
         Fault::NoResponse => any(history, unresponsive),
         Fault::SensorsDisagree => any(history, sensors_disagree),
-        Fault::BackupVentilation => any(history, |breath| unsound(&breath.airway) && unsound(&breath.outlet)),
+        Fault::BackupVentilation => {
+            any(history, |breath| (unsound(&breath.airway) && unsound(&breath.outlet)) || unanswered(breath))
+        }
         Fault::Leak => {
             // What the leak lets through at PEEP does not depend on the breath.
             let flows = |breath: &&BreathTruth| breath.leak * (breath.peep() / 30.0).sqrt() > LEAK_FLOW;
@@ -209,9 +211,12 @@ fn fills(settings: &Settings, resistance: f64, compliance: f64) -> f64 {
 
 /// A valve without gas, an open end, or a sensor in use that does not follow.
 fn unresponsive(breath: &BreathTruth) -> bool {
-    breath.starved_ms >= STARVED_MS
-        || disconnected(breath)
-        || [&breath.airway, &breath.outlet].into_iter().any(unsound)
+    unanswered(breath) || [&breath.airway, &breath.outlet].into_iter().any(unsound)
+}
+
+/// Gas that raises no pressure: the valve gives none, or it escapes.
+fn unanswered(breath: &BreathTruth) -> bool {
+    breath.starved_ms >= STARVED_MS || disconnected(breath)
 }
 
 /// Errors of the sensors that differ by the bound.

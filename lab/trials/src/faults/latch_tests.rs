@@ -99,8 +99,9 @@ impl Course {
 
 /// The courses that fail a requirement, under both PIDs.
 #[track_caller]
-fn all(courses: Vec<Course>, holds: impl Fn(f64, &Outcome) -> bool + Sync) {
-    let runs: Vec<_> = courses.iter().flat_map(|course| GAINS.map(|gains| (course, gains))).collect();
+fn all(courses: impl IntoIterator<Item = Course>, holds: impl Fn(f64, &Outcome) -> bool + Sync) {
+    let runs: Vec<_> =
+        courses.into_iter().flat_map(|course| GAINS.map(|gains| (course.clone(), gains))).collect();
     let failed: Vec<_> = runs
         .into_par_iter()
         .filter_map(|(course, gains)| {
@@ -143,7 +144,7 @@ fn a_patient_who_strains_for_seconds_is_ventilated_from_the_next_breath_on() {
         let bench = straining(resistance, compliance, peak, duration_s);
         flows.map(|distort| Course { distort, ..Course::new(bench.clone(), 20.0, limit) })
     });
-    all(courses.collect(), |share, outcome| outcome.latched.is_none() && share > 0.8);
+    all(courses, |share, outcome| outcome.latched.is_none() && share > 0.8);
     // Above its limit for longer than a cough, the pressure is an alarm by its name.
     let alarm = Course::new(straining(2.0, 100.0, 120.0, 5.0), 20.0, 40.0).run(SOUND).alarms;
     assert!(alarm.contains(&Fault::HighPressure) && !alarm.contains(&Fault::HardLimit), "{alarm:?}");
@@ -155,7 +156,7 @@ fn both_valves_stuck_latch_within_seconds() {
         let failure = Some(Failure::BothValvesStuck(80.0));
         Course { failure, ..Course::new(bench, 20.0, 40.0) }
     });
-    all(courses.collect(), |_, outcome| {
+    all(courses, |_, outcome| {
         outcome.latched.is_some_and(|(fault, ms)| fault == Fault::HardLimit && ms < 3000)
     });
 }
@@ -185,7 +186,7 @@ fn two_sensors_that_stand_still_are_lost_and_ventilation_goes_on_by_the_flow() {
             ..Course::new(BenchConfig::paper(resistance, compliance), 20.0, 40.0)
         })
     });
-    all(courses.collect(), |share, outcome| {
+    all(courses, |share, outcome| {
         let alarmed = outcome.alarms.contains(&Fault::NoResponse);
         let goes_on = outcome.latched.is_none() && (0.8..1.2).contains(&share);
         alarmed && goes_on && outcome.above_ms < 300
@@ -204,7 +205,7 @@ fn pip_follows_a_stuck_peep_valve_whether_the_patient_triggers_or_not() {
             })
         })
     });
-    all(courses.collect(), |share, outcome| outcome.latched.is_none() && share > 0.8);
+    all(courses, |share, outcome| outcome.latched.is_none() && share > 0.8);
 }
 
 #[test]
@@ -219,5 +220,5 @@ fn a_lung_behind_a_resistive_filter_is_not_latched_and_pip_does_not_follow_it() 
                 },
             )
         });
-    all(courses.collect(), |_, outcome| outcome.latched.is_none() && outcome.peak < 26.0);
+    all(courses, |_, outcome| outcome.latched.is_none() && outcome.peak < 26.0);
 }
