@@ -31,7 +31,7 @@ pub const LOST_GROUPS: u8 = 2;
 pub const PERSISTS: f32 = 60.0;
 /// Time below [`FALLS`] after which the smaller breaths become the reference, s: the alarm has long been raised.
 pub const ADOPTED: f32 = 300.0;
-/// Time of which the smallest group is kept, s. The reference is that of the [`OLDER`] such times before the last two.
+/// Time of which the smallest group is kept, s. The reference is that of the `OLDER` such times before the last two.
 pub const SPAN: f32 = 60.0;
 const OLDER: usize = 3;
 /// Groups after which the first such time ends.
