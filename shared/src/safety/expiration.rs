@@ -13,6 +13,7 @@ use super::leak::{KNOWN_LEAK, Leak, Loss};
 use super::lung_estimator::command_for;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::responses::{Response, Responses};
+use super::volumes::OUTFLOW;
 use crate::breath::{Breath, Moment, Phase, period_s};
 use crate::math;
 use crate::safety::alarms::Fault;
@@ -65,8 +66,6 @@ const SAMPLES: usize = 5;
 const OF_EFFORT: usize = 1;
 /// Largest such change without a flow, cmH2O.
 const CONSTANT: f32 = 0.5;
-/// Flow out of the lung from which it still empties, L/s.
-const EMPTIES: f32 = 0.02;
 /// Share of the fall that the flow's own predicts behind a resistance from which the pressure falls with the flow, and the smallest
 /// such fall, cmH2O: noise causes less.
 const WITH_FLOW: f32 = 0.5;
@@ -140,7 +139,7 @@ impl Sample {
         let fall = self.pressure - later.pressure;
         let (out, less) = (-self.flow, later.flow - self.flow);
         let with_flow = WITH_FLOW * (self.pressure - peep) * less;
-        if out > EMPTIES { fall > WITH_FLOW_LEAST && fall * out > with_flow } else { fall > CONSTANT }
+        if out > OUTFLOW { fall > WITH_FLOW_LEAST && fall * out > with_flow } else { fall > CONSTANT }
     }
 }
 
@@ -207,7 +206,7 @@ impl Expiration {
         let above = state.smooth - peep;
         state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         let now = Sample { pressure: state.smooth, flow };
-        state.emptied = in_a_row(state.emptied, flow >= -EMPTIES);
+        state.emptied = in_a_row(state.emptied, flow >= -OUTFLOW);
         state.settle(now, peep);
         if above > SAG {
             state.forget_effort(state.lowest);
@@ -227,7 +226,7 @@ impl Expiration {
             state.flow_is_too_much();
         }
         let before = state.sample_before(OF_EFFORT);
-        state.emptied = in_a_row(state.emptied, before.flow >= -EMPTIES);
+        state.emptied = in_a_row(state.emptied, before.flow >= -OUTFLOW);
         let above = if emptied { before.pressure - peep } else { above };
         let incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         state.incomplete = if emptied { incomplete } else { incomplete.min(state.incomplete) };
@@ -271,8 +270,7 @@ impl Expiration {
     }
 
     /// Learns the leak from a breath's loss, to make up for it in advance at this PEEP, cmH2O, beyond this bias of the inspiratory
-    /// valve, percent. While gas stays in a lung that does
-    /// not empty, no flow is added. Returns whether the leak has changed.
+    /// valve, percent. While gas stays in a lung that does not empty, no flow is added. Returns whether the leak has changed.
     pub fn learn_leak(&self, state: &mut ExpirationState, (peep, bias): (f32, f32), loss: Loss) -> bool {
         // Trapped gas adds to the loss of a breath, but not so much.
         if loss.leak() > OPEN_TUBE {

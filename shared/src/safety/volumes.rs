@@ -19,8 +19,8 @@ const SWINGS: f32 = 0.03;
 /// Play within which the integral of the flow moves without a volume, mL: less than any breath, more than the sensor's noise.
 const PLAY: f32 = 0.5;
 
-/// Flow out of the lung, through the sensor, from which the PEEP valve is open: no leak can take so much, L/s.
-const OUTFLOW: f32 = 0.02;
+/// Flow out of the lung, through the sensor, from which the lung still empties and the PEEP valve is open: no leak can take so much, L/s.
+pub const OUTFLOW: f32 = 0.02;
 /// Share of its flow to which a leak is known.
 const DOUBT: f32 = 0.1;
 /// Growth of the flow out of the lung over the length of a breath, as a share of the gas that the breath lacks, from which the lung has

@@ -75,7 +75,7 @@ impl DrawArgs {
         };
         let tally = found.sums().clone();
         context.table(&promises(&tally));
-        context.table(&classes(&tally));
+        context.table(&classes(&drawn, &tally));
         if context.stopped() {
             context.line("stopped; if started with --keep, the same command continues from here");
         } else {
@@ -172,13 +172,18 @@ fn promises(tally: &Tally) -> Table {
     table
 }
 
-fn classes(tally: &Tally) -> Table {
-    let mut table = Table::new("Failures by class", &["promise", "alarm: faults", "cases", "first"]);
+/// The classes that failed, and whether they have one cause in all pressure sensors, which fails by design (SAFETY.md).
+fn classes(drawn: &Drawn, tally: &Tally) -> Table {
+    let header = ["promise", "alarm: faults", "common cause", "cases", "first"];
+    let mut table = Table::new("Failures by class", &header);
     for (promise, name, class) in ordered(tally).take(SHOWN) {
+        let common =
+            class.first.first().is_some_and(|number| drawn.generator().draw(*number).is_of_a_common_cause());
         let first = class.first.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
         table.row(vec![
             Cell::text(promise.name()),
             Cell::text(name),
+            Cell::text(if common { "yes" } else { "" }),
             Cell::right(class.cases.to_string()),
             Cell::right(first),
         ]);

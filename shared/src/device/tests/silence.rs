@@ -116,7 +116,7 @@ fn a_refused_exploration_leaves_the_running_one_to_its_host() {
     assert_eq!((explores(&mut rig), silences(&rig)), (false, 1));
 }
 
-/// A program that starts ventilation and ends leaves it to whoever watches.
+/// A program that starts ventilation, gives the lease back and ends: ventilation goes on, and nobody is missing.
 #[test]
 fn a_host_that_has_given_the_lease_back_is_not_missed_by_one_that_watches() {
     let without_exploration = || {
