@@ -26,6 +26,8 @@ const RISE: f32 = 40.0;
 const SAGGED: f32 = 0.5;
 /// Fall of the compensation while the pressure does not sag, %/s.
 const RELEASE: f32 = 8.0;
+/// Expirations after which a lung that never empties has filled.
+const EVEN: u32 = 10;
 /// Highest command of the compensation of a sag, percent.
 pub const BOUND: f32 = 40.0;
 /// Highest command that makes up for a leak which the flow sensor has measured, percent: at the highest PEEP a large one takes so much.
@@ -118,7 +120,8 @@ pub struct ExpirationState {
     incomplete: u32,
     /// Whether the last of them was still falling.
     falling: bool,
-    /// Expirations in a row at whose end the lung had emptied.
+    /// Expirations so far, and those in a row at whose end the lung had emptied.
+    ended: u32,
     emptied: u32,
     /// Constant baseline above PEEP, and the rise of PIP with it, cmH2O.
     above: f32,
@@ -206,7 +209,7 @@ impl Expiration {
         let above = state.smooth - peep;
         state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         let now = Sample { pressure: state.smooth, flow };
-        state.emptied = in_a_row(state.emptied, flow >= -OUTFLOW);
+        state.note_outflow(flow);
         state.settle(now, peep);
         if above > SAG {
             state.forget_effort(state.lowest);
@@ -226,7 +229,7 @@ impl Expiration {
             state.flow_is_too_much();
         }
         let before = state.sample_before(OF_EFFORT);
-        state.emptied = in_a_row(state.emptied, before.flow >= -OUTFLOW);
+        state.note_outflow(before.flow);
         let above = if emptied { before.pressure - peep } else { above };
         let incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         state.incomplete = if emptied { incomplete } else { incomplete.min(state.incomplete) };
@@ -327,10 +330,16 @@ impl ExpirationState {
         self.smooth
     }
 
-    /// Whether hardly any gas flowed out at the end of the last two expirations, before an effort: one may hide an effort that is too weak
-    /// to end it.
-    pub fn has_emptied(&self) -> bool {
-        self.emptied > 1
+    /// Notes the smoothed flow at the end of an expiration, before an effort, L/s.
+    fn note_outflow(&mut self, flow: f32) {
+        self.ended = self.ended.saturating_add(1);
+        self.emptied = in_a_row(self.emptied, flow >= -OUTFLOW);
+    }
+
+    /// Whether gas that a breath lacks may be lost, not in a lung that fills: hardly any flowed out at the end of the last two expirations,
+    /// of which one may hide an effort, or breath has followed breath for long.
+    pub fn is_even(&self) -> bool {
+        self.emptied > 1 || self.ended >= EVEN
     }
 
     /// Expirations in a row that ended above PEEP.

@@ -36,7 +36,7 @@ pub const SPAN: f32 = 60.0;
 const OLDER: usize = 3;
 /// Groups after which the first such time ends.
 const FIRST_GROUPS: u8 = 2;
-/// Share of the volume up to which the gas of a leak may pass beside it: more makes the volume too uncertain.
+/// Share of the volume up to which the gas of a leak may pass beside it in a breath that becomes part of the reference.
 const LEAKY: f32 = 0.5;
 /// Share of the volume that a lung loses per cmH2O of a higher PEEP: near its full size it is stiffer.
 const STIFFENS: f32 = 0.02;
@@ -107,6 +107,8 @@ struct Group {
     seconds: f32,
     /// Whether a breath has reached [`FALLS`] and [`LOST`].
     reaches: (bool, bool),
+    /// Whether a leak makes a volume too uncertain to become part of the reference.
+    leaks: bool,
 }
 
 impl ReferenceVolume {
@@ -135,9 +137,7 @@ impl ReferenceVolume {
         (self.running, self.inspiration) = (Drive::of(settings), settings.inspiratory_time);
         let doubtful = core::mem::take(&mut self.doubtful);
         match volumes.breath().filter(|_| sound && volumes.last_ticks() > 0) {
-            Some(breath) if doubtful || breath.leaked > LEAKY * breath.inspired => {
-                self.group = Group::default();
-            }
+            Some(_) if doubtful => self.group = Group::default(),
             Some(breath) => self.add(breath, drive, seconds),
             // What was found before is not known any more.
             None => {
@@ -175,6 +175,7 @@ impl ReferenceVolume {
         let group = &mut self.group;
         group.reaches.0 |= most >= FALLS * expected;
         group.reaches.1 |= most >= LOST * expected;
+        group.leaks |= breath.leaked > LEAKY * breath.inspired;
         if group.breaths == 0 || least > group.best.least_at(&drive) {
             group.best = Driven { volume: least, drive };
         }
@@ -189,7 +190,9 @@ impl ReferenceVolume {
         let group = core::mem::take(&mut self.group);
         if group.reaches.0 {
             self.recover();
-            self.learn(&group);
+            if !group.leaks {
+                self.learn(&group);
+            }
             return;
         }
         self.small += group.seconds;
@@ -470,5 +473,26 @@ mod tests {
             run.reference.takes_little()
         };
         assert!(!tells(280.0, 0.0) && tells(260.0, 0.0) && !tells(900.0, 0.0));
+    }
+
+    #[test]
+    fn volumes_beside_a_large_leak_are_judged_and_no_reference() {
+        let learns = |leaked: f32| {
+            let mut reference =
+                ReferenceVolume { running: Drive::of(&paper_settings(25.0)), ..Default::default() };
+            let breath = BreathVolumes { inspired: 400.0, expired: 400.0, leaked };
+            let drive = Drive { time: 1.0, ..reference.running };
+            (0..10).for_each(|_| reference.add(breath, drive, 3.0));
+            let known = reference.expected(&drive) > 0.0;
+            let small = BreathVolumes { inspired: 100.0, expired: 100.0, leaked };
+            (0..10).for_each(|_| reference.add(small, drive, 3.0));
+            (known, reference.falls)
+        };
+        assert_eq!((learns(199.0), learns(201.0)), ((true, true), (false, false)));
+        let mut run = Run::new();
+        let leaky = BreathVolumes { inspired: 190.0, expired: 190.0, leaked: 200.0 };
+        let drive = Drive { time: 1.0, ..run.reference.running };
+        (0..6).for_each(|_| run.reference.add(leaky, drive, 3.0));
+        assert!(run.reference.falls, "judged by what was learned before");
     }
 }

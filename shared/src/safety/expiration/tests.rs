@@ -476,3 +476,21 @@ fn pip_is_never_lowered_however_close_the_limit() {
         assert!(state.shift(&close).abs() < 1e-6, "{}", state.shift(&close));
     }
 }
+
+#[test]
+fn gas_is_lost_after_two_empty_expirations_or_ten_of_any_kind() {
+    let even_after = |flow: fn(u32) -> f32| {
+        let mut state = ExpirationState::default();
+        (1..20).find(|number| {
+            state.note_outflow(flow(*number));
+            state.is_even()
+        })
+    };
+    assert_eq!(even_after(|_| 0.0), Some(2));
+    assert_eq!(even_after(|_| -0.1), Some(10), "a lung that never empties");
+    assert_eq!(
+        even_after(|number| if number == 1 { 0.0 } else { -0.1 }),
+        Some(10),
+        "an effort hides the first outflow"
+    );
+}

@@ -132,9 +132,9 @@ impl Supervisor {
 
     /// Learns the leak from the gas that the last breath lost, unless the flow sensor is in doubt.
     pub(super) fn learn_leak(&self, state: &mut SupervisorState, settings: &Settings) {
-        // Gas that is missing while some still flows out, or hardly any above PEEP, is in the lung.
+        // Gas that is missing while the lung fills, or of which hardly any comes out above PEEP, is in the lung.
         let blocked = state.expiration.incomplete() > 0 && state.volumes.hardly_any_comes_out();
-        let shown = state.expiration.has_emptied()
+        let shown = state.expiration.is_even()
             && !blocked
             && !state.flow.is_doubtful()
             && !state.breath.is_disconnected();
