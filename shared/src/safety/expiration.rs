@@ -336,6 +336,11 @@ impl ExpirationState {
         self.emptied = in_a_row(self.emptied, flow >= -OUTFLOW);
     }
 
+    /// Whether hardly any gas flowed out at the end of the last expiration.
+    pub fn has_emptied(&self) -> bool {
+        self.emptied > 0
+    }
+
     /// Whether gas that a breath lacks may be lost, not in a lung that fills: hardly any flowed out at the end of the last two expirations,
     /// of which one may hide an effort, or breath has followed breath for long.
     pub fn is_even(&self) -> bool {

@@ -33,8 +33,6 @@ const SEEN: f32 = 0.5;
 pub const STRAIN: f32 = 6.0;
 /// Time that the pressure may stay above PEEP without falling in expirations, s.
 pub const SUSTAINED: f32 = 15.0;
-/// Time above PEEP after which the gas in the lung must explain the pressure, s: longer than a strain.
-pub const AWAY: f32 = 10.0;
 /// Time after the expiratory valve opens in which the pressure must fall, and for which it may not have fallen after that, s: a cough
 /// is over by then.
 pub const FALL: f32 = 0.5;
@@ -52,11 +50,10 @@ pub struct PressureMonitor {
     period: f32,
     /// [`SPIKE`] in ticks.
     above: u32,
-    /// [`VENTING`], [`STRAIN`], [`SUSTAINED`], [`AWAY`], [`FALL`] and [`FALL_UNSEEN`] in ticks.
+    /// [`VENTING`], [`STRAIN`], [`SUSTAINED`], [`FALL`] and [`FALL_UNSEEN`] in ticks.
     venting: u32,
     strain: u32,
     sustained: u32,
-    away: u32,
     fall: u32,
     fall_unseen: u32,
 }
@@ -142,18 +139,12 @@ impl PressureMonitor {
             venting: limit(Fault::HardLimit, VENTING),
             strain: limit(Fault::HardLimit, STRAIN),
             sustained: limit(Fault::SustainedPressure, SUSTAINED),
-            away: ticks(AWAY, period_us),
             fall: ticks(FALL, period_us),
             fall_unseen: ticks(FALL_UNSEEN, period_us),
         }
     }
 
-    /// Whether the pressure has been above PEEP for so long that the gas in the lung must explain it.
-    pub fn is_away(&self, state: &PressureState) -> bool {
-        state.away >= self.away
-    }
-
-    /// Whether the pressure has stayed above PEEP for so long that gas that does not come out is a fault.
+    /// Whether the pressure has stayed above PEEP for so long that gas that stays in the lung is a fault.
     pub fn is_sustained(&self, state: &PressureState) -> bool {
         state.away >= self.sustained
     }

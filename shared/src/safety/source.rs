@@ -28,6 +28,8 @@ const FOLLOWS: f32 = 5.0;
 pub const APART: f32 = 0.02;
 /// Expirations in a row with such a difference after which the worse sensor is not used.
 pub const DOUBTFUL_BREATHS: u32 = 2;
+/// Expirations in a row that must speak for a sensor which lost before.
+pub const CONTRARY_BREATHS: u32 = 3;
 /// Difference at the end of an expiration up to which they agree again, cmH2O.
 pub const AGREE: f32 = 1.0;
 /// Breaths in a row with so small a difference after which both are used again.
@@ -137,6 +139,8 @@ pub struct SourceState {
     rest: Windows<3>,
     doubtful: u32,
     agreed: u32,
+    /// Expirations in a row that speak for the sensor which has lost in an expiration; none if it has lost otherwise.
+    contrary: Option<u32>,
     plateau: Plateau,
 }
 
@@ -185,8 +189,8 @@ pub struct Chosen {
     pub follows: Follows,
     /// Whether two sound sensors differ by more than a small flow explains.
     pub doubtful: bool,
-    /// What the sensor that is not used reads, if that is far from the other one, cmH2O.
-    pub denied: Option<f32>,
+    /// What the sensor that is not used reads, unless one has failed a check, cmH2O.
+    pub other: Option<f32>,
     /// Findings about the airway sensor, the outlet sensor and their difference.
     pub findings: [Option<Fault>; 3],
     /// Finding about the airway sensor to which the quiet outlet sensor in its place is the response.
@@ -260,8 +264,8 @@ impl PressureSource {
         let follows = state.follows(reading, use_outlet);
         let doubtful = (both || state.undecided) && apart > DOUBTFUL;
         let other = if use_outlet { readings.airway } else { readings.outlet };
-        let denied = (state.apart > 0).then_some(other);
-        Chosen { reading, follows, doubtful, denied, findings, replaced }
+        let other = (!state.is_one_lost()).then_some(other);
+        Chosen { reading, follows, doubtful, other, findings, replaced }
     }
 
     /// Whether the reading of a sensor cannot stay the same: the other one has moved by more than the drop in the tube, or
@@ -329,8 +333,8 @@ impl PressureSource {
         let Some(judgement) = state.plateau.judge(peep, volume).filter(|_| compares) else { return false };
         match judgement {
             Judgement::Agree | Judgement::Apart => return false,
-            Judgement::AirwayWrong => (state.airway.doubted, state.outlet.doubted) = (true, false),
-            Judgement::OutletWrong => (state.airway.doubted, state.outlet.doubted) = (false, true),
+            Judgement::AirwayWrong => state.doubt(true, false),
+            Judgement::OutletWrong => state.doubt(false, true),
         }
         true
     }
@@ -342,8 +346,7 @@ impl PressureSource {
             return false;
         }
         let outlet_rose = readings.outlet - readings.airway;
-        state.airway.doubted = outlet_rose > DOUBTFUL + TUBE * flow;
-        state.outlet.doubted = outlet_rose < -DOUBTFUL;
+        state.doubt(outlet_rose > DOUBTFUL + TUBE * flow, outlet_rose < -DOUBTFUL);
         state.airway.doubted || state.outlet.doubted
     }
 
@@ -358,13 +361,19 @@ impl PressureSource {
         state.doubtful = in_a_row(state.doubtful, apart_at_rest);
         state.agreed = in_a_row(state.agreed, apart <= AGREE && state.plateau.agreed());
         if state.agreed >= AGREED_BREATHS {
-            (state.airway.doubted, state.outlet.doubted) = (false, false);
+            state.doubt(false, false);
         }
         let wrong = state.doubtful >= self.doubtful || (state.undecided && apart_at_rest);
         state.undecided &= !wrong && state.agreed == 0;
         if wrong {
-            state.airway.doubted = airway > outlet;
-            state.outlet.doubted = !state.airway.doubted;
+            // Just after a leak has ended, what made up for it holds the pressure above PEEP.
+            let airway_wrong = airway > outlet;
+            let lost = if airway_wrong { state.outlet.doubted } else { state.airway.doubted };
+            let contrary = state.contrary.filter(|_| lost).map_or(CONTRARY_BREATHS, |before| before + 1);
+            if contrary >= CONTRARY_BREATHS {
+                state.doubt(airway_wrong, !airway_wrong);
+            }
+            state.contrary = Some(contrary % CONTRARY_BREATHS);
         }
         wrong
     }
@@ -385,6 +394,11 @@ impl SourceState {
         }
     }
 
+    /// Doubts these sensors from now on.
+    fn doubt(&mut self, airway: bool, outlet: bool) {
+        (self.airway.doubted, self.outlet.doubted, self.contrary) = (airway, outlet, None);
+    }
+
     /// Whether the reading in use is noisy.
     pub fn is_noisy(&self) -> bool {
         let sensor = if self.uses_outlet { &self.outlet } else { &self.airway };
@@ -396,7 +410,7 @@ impl SourceState {
         let Some([airway, outlet]) = self.starts else { return };
         let more = (self.outlet.smooth - outlet) - (self.airway.smooth - airway);
         if more.abs() > FOLLOWS {
-            (self.airway.doubted, self.outlet.doubted) = (more > 0.0, more < 0.0);
+            self.doubt(more > 0.0, more < 0.0);
             self.undecided = true;
         }
     }

@@ -20,6 +20,9 @@ pub const FALL: f32 = 3.0;
 /// Share of a baseline's height above PEEP that the gas in the lung must explain.
 pub const EXPLAINED: f32 = 0.3;
 
+/// Weight of a breath in the mean of the gas that is lost.
+const OF_A_BREATH: f32 = 0.3;
+
 /// State; nothing has moved before the first breath.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Standing {
@@ -33,6 +36,8 @@ pub struct Standing {
     expiration: bool,
     /// Gas that has gone into the lung and has not come out again since the baseline was last at PEEP, mL.
     balance: f32,
+    /// Mean gas that does not come out in breaths from PEEP to PEEP, mL.
+    lost: Option<f32>,
     /// Gas that came out before the last expiration, mL: muscles that relax press some into the circuit.
     before: f32,
 }
@@ -96,9 +101,15 @@ impl Standing {
         self.before
     }
 
-    /// Adds the gas that the lung has kept of the last breath, mL; `high`: the expiration before it ended above PEEP as well.
-    pub fn add(&mut self, kept: f32, high: bool) {
-        self.balance = kept + if high { self.balance } else { 0.0 };
+    /// Adds the gas that did not come out in the last breath, mL; `high`: expirations in a row that have ended above PEEP. Returns what
+    /// has stayed in the lung: not what breaths from PEEP to PEEP lose, as to a leak.
+    pub fn add(&mut self, kept: f32, high: u32) -> f32 {
+        if high == 0 {
+            self.lost = Some(self.lost.map_or(kept, |lost| lost + OF_A_BREATH * (kept - lost)));
+        }
+        let stays = kept - self.lost.unwrap_or(0.0).max(0.0);
+        self.balance = stays + if high > 1 { self.balance } else { 0.0 };
+        stays
     }
 
     /// Whether the pressure stood still in the last expiration although its gas, mL, must have lowered it at this elastance, cmH2O/mL.
@@ -179,16 +190,29 @@ mod tests {
         // 19 cmH2O above PEEP: in a lung of 20 mL/cmH2O they take 380 mL, of which 114 count.
         let denies = |kept: &[f32]| {
             let mut standing = after(|_| 24.0);
-            kept.iter().enumerate().for_each(|(place, gas)| standing.add(*gas, place > 0));
+            for (high, gas) in (1..).zip(kept) {
+                standing.add(*gas, high);
+            }
             standing.denies_balance(PEEP, 0.05)
         };
         assert!(denies(&[0.0]) && denies(&[113.0]) && !denies(&[115.0]) && !denies(&[380.0]));
         assert!(denies(&[380.0, -380.0]) && !denies(&[200.0, 0.0]), "over the breaths since it rose");
         let mut standing = after(|_| 24.0);
-        standing.add(380.0, false);
-        standing.add(0.0, false);
+        standing.add(380.0, 1);
+        standing.add(0.0, 0);
         assert!(standing.denies_balance(PEEP, 0.05), "a baseline at PEEP starts again");
         assert!(!after(swing).denies_balance(PEEP, 0.05), "it swings");
+    }
+
+    #[test]
+    fn what_breaths_from_peep_to_peep_lose_does_not_stay_in_the_lung() {
+        let denies = |leaks: bool| {
+            let mut standing = after(|_| 24.0);
+            standing.add(if leaks { 100.0 } else { 0.0 }, 0);
+            let stays = (1..5).map(|high| standing.add(100.0, high)).sum::<f32>();
+            (stays as i32, standing.denies_balance(PEEP, 0.05))
+        };
+        assert_eq!((denies(true), denies(false)), ((0, true), (400, false)));
     }
 
     #[test]

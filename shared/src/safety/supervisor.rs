@@ -14,6 +14,9 @@ mod answer;
 mod breaths;
 mod state;
 
+pub use breaths::FILLS;
+pub use state::ROOM;
+
 use super::alarms::{Action, Fault};
 use super::backup::Backup;
 use super::breath_monitor::{ABOVE_PEEP, BreathInput, BreathMonitor, BreathState, Cap};
@@ -29,7 +32,7 @@ use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonit
 use super::reference_volume::ReferenceVolume;
 use super::responses::{Response, Responses};
 use super::settling::{Filling, Pressures};
-use super::source::{Follows, PressureSource, Reading, SourceState};
+use super::source::{FAR_APART, Follows, PressureSource, Reading, SourceState};
 use super::standing::Standing;
 use super::volume_monitor::{VolumeMonitor, VolumeState};
 use super::volumes::Volumes;
@@ -49,6 +52,8 @@ pub const JUDGED: u32 = 6;
 pub const MISSED_MAX: u32 = 5;
 /// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure.
 pub const CUTS_MAX: u32 = 3;
+/// Distance of the other sensor below a pressure at its limit with which it denies that, cmH2O.
+const DENIED: f32 = 0.5 * FAR_APART;
 /// Fraction of that rise from which a reading responds to the gas.
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
@@ -100,6 +105,8 @@ pub struct SupervisorState {
     reached: Option<f32>,
     /// What became of the last breath's gas.
     gas: Gas,
+    /// Whether the gas in the lung does not explain a pressure that leaves no room for a breath.
+    lies: bool,
     flow: FlowState,
     reference: ReferenceVolume,
     filling: Filling,
@@ -254,7 +261,12 @@ impl Supervisor {
             if chosen.follows == Follows::Other {
                 state.breath.sensor_changed();
             }
-            self.check_pressure(state, pressure, readings.flow, breath.settings(), chosen.denied);
+            // What the gas denies ends no inspiration.
+            if state.lies {
+                state.pressure = PressureState::default();
+            } else {
+                self.check_pressure(state, pressure, readings.flow, breath.settings(), chosen.other);
+            }
         }
         chosen.doubtful
     }
@@ -310,9 +322,10 @@ impl Supervisor {
         pressure: f32,
         flow: f32,
         settings: &Settings,
-        denied: Option<f32>,
+        other: Option<f32>,
     ) {
         let (limit, peep, venting) = (settings.pressure_limit, settings.peep, state.open() > 0);
+        let denied = |bound, by: f32| other.is_some_and(|other: f32| other < bound && pressure - other > by);
         let flow = if state.flow.hides_gas() { f32::NAN } else { flow };
         // A reading that does not respond to the gas proves nothing about the valves.
         let gas = if state.unresponsive.is_some() { Gas::ComesOut } else { state.gas };
@@ -324,7 +337,12 @@ impl Supervisor {
                 if state.backup.lacks_gas() {
                     state.flow.inspired(Ordering::Less);
                 }
-                state.cut.end(state.lung.explains(0.5 * (limit + settings.pip)));
+                let by_gas = state.lung.explains(0.5 * (limit + settings.pip));
+                state.cut = match (denied(limit, DENIED), by_gas) {
+                    (true, _) => Cut::Denied,
+                    (_, true) => Cut::ByGas,
+                    _ => Cut::ByPatient,
+                };
                 if state.open() == 0 {
                     self.lung.end_inspiration(&mut state.lung, state.start == Start::Effort);
                 }
@@ -332,7 +350,7 @@ impl Supervisor {
             PressureFinding::Alarm(fault) => {
                 // A sensor that another one denies proves nothing about the valves.
                 let bound = if fault == Fault::SustainedPressure { peep + ABOVE_PEEP } else { limit };
-                if denied.is_none_or(|other| other >= bound) {
+                if !denied(bound, FAR_APART) {
                     self.report(state, fault);
                 }
             }
@@ -348,7 +366,7 @@ impl Supervisor {
             1 => self.check_flow(state),
             2 => self.learn_leak(state, settings),
             3 => self.check_volumes(state, settings),
-            4 => self.judge_gas(state, readings, settings),
+            4 => self.judge_gas(state, readings, moment.breath),
             5 => self.check_reference(state, settings),
             JUDGED => self.judge_leak(state, settings),
             _ => {}

@@ -84,6 +84,8 @@ pub struct Balance {
     pub expired: f32,
     /// Into the lung and not out of it.
     pub kept: f32,
+    /// Into the lung or a leak.
+    pub inspired: f32,
 }
 
 /// Volumes of the running breath, and the last one's result.
@@ -261,7 +263,13 @@ impl Volumes {
         Some(Balance {
             expired: lung.expired.min(all.inspired - all.gas),
             kept: all.gas.max(lung.inspired - lung.expired),
+            inspired: all.inspired,
         })
+    }
+
+    /// Whether gas flowed out of the lung at the very end of the last breath.
+    pub fn ended_with_outflow(&self) -> bool {
+        self.ended < -OUTFLOW
     }
 
     /// At the start of a breath, with ticks of `period` seconds: whether the lung has kept what the last breath lacks, or a tight circuit

@@ -117,8 +117,9 @@ fn responses() -> Vec<Conditions> {
          they have fallen by more than {}. If gas may have been lost, the inspiration ends, and its expiration \
          tells: only gas that comes back should have raised the pressure. Or no change by more than {} \
          cmH2O in an inspiration from more than {} above PEEP whose gas raises the pressure by {}, or in an \
-         expiration whose gas lowers it by {}; or such a pressure at the end of {} expirations in a row, of \
-         which the gas in the lung explains less than {} %, or for {} s while no gas comes out",
+         expiration whose gas lowers it by {}; or such a pressure at the end of {} expirations in a row, or one \
+         that leaves less than {} % of the rise for a breath when no gas flows out any more, of which the gas in \
+         the lung explains less than {} %",
         ms(lung::UNANSWERED),
         percent(lung::ANSWER),
         number(lung::TELLING_RISE),
@@ -132,8 +133,8 @@ fn responses() -> Vec<Conditions> {
         number(lung::TELLING_RISE),
         number(standing::FALL),
         expiration::IN_A_ROW,
-        percent(standing::EXPLAINED),
-        number(pressure::AWAY)
+        percent(supervisor::ROOM),
+        percent(standing::EXPLAINED)
     );
     let backup = "no pressure sensor is sound, or none responds: the volume of the last good breaths is \
                   delivered, or without a sound flow sensor their mean commands are repeated";
@@ -173,13 +174,14 @@ fn limits() -> Vec<Conditions> {
         "more than {} cmH2O above PEEP for {} s, and with the expiratory valve commanded open a fall of \
          less than {} % of that in {fall} s and in {fall} s after that ({} s without a sound flow sensor); not \
          if the flow sensor shows that the gas comes out; or less than {} % of the inspired volume coming \
-         out ({} % without the gas of a known leak)",
+         out ({} % without the gas of a known leak) and {} % of it staying in the lung",
         number(pressure::BACK_AT_PEEP),
         number(pressure::SUSTAINED),
         percent(pressure::FALLS),
         number(pressure::FALL_UNSEEN),
         percent(volumes::BLOCKED),
         percent(volumes::BLOCKED_WITHOUT_LEAK),
+        percent(supervisor::FILLS),
         fall = number(pressure::FALL),
     );
     vec![

@@ -177,11 +177,26 @@ fn while_gas_goes_in_the_sensor_that_follows_it_is_believed_until_rest_tells_mor
 }
 
 #[test]
-fn a_sensor_in_use_is_denied_while_the_other_one_reads_far_from_it() {
+fn the_other_sensor_is_told_until_one_is_lost() {
     let mut run = Run::new();
     run.ticks(100, PEEP, PEEP);
-    let denied = [14.0, 16.0, f32::NAN].map(|outlet| run.tick(PEEP, outlet).denied.map(f32::round));
-    assert_eq!(denied, [None, Some(16.0), None]);
+    let other = [14.0, 16.0].map(|outlet| run.tick(PEEP, outlet).other.map(f32::round));
+    assert_eq!(other, [Some(14.0), Some(16.0)]);
+    assert_eq!(run.ticks(30, f32::NAN, PEEP).other, None);
+}
+
+#[test]
+fn a_sensor_that_has_lost_at_rest_wins_by_three_expirations_in_a_row() {
+    let mut run = Run::new();
+    let doubted = |run: &Run| (run.state.airway.doubted, run.state.outlet.doubted);
+    (0..2).for_each(|_| assert!(run.expiration(11.0, 2.0, 0.0) == (run.state.doubtful > 1)));
+    assert_eq!(doubted(&run), (true, false));
+    let mut after = |outlet: f32| {
+        run.expiration(11.0, outlet, 0.0);
+        doubted(&run)
+    };
+    assert_eq!([15.0, 15.0, 2.0, 15.0, 15.0].map(&mut after), [(true, false); 5]);
+    assert_eq!(after(15.0), (false, true));
 }
 
 #[test]

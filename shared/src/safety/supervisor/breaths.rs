@@ -22,6 +22,8 @@ const FULL_RISE: f32 = 0.85;
 const COMES_OUT: f32 = 10.0;
 /// The same after an effort, which moves gas to and fro between lung and circuit, mL.
 const COMES_OUT_AFTER_EFFORT: f32 = 50.0;
+/// Share of its gas from which a breath fills the lung: what a leak takes does not.
+pub const FILLS: f32 = 0.5;
 
 impl Supervisor {
     /// Updates the ladder with the breath that has ended, and starts the next one.
@@ -37,7 +39,8 @@ impl Supervisor {
         let in_doubt = state.cut == Cut::InDoubt;
         state.cuts = in_a_row(state.cuts, state.cut() && !in_doubt);
         if state.cuts >= CUTS_MAX {
-            self.report(state, Fault::HighPressure);
+            let one_sensor = state.cut == Cut::Denied;
+            self.report(state, if one_sensor { Fault::SensorsDisagree } else { Fault::HighPressure });
         }
         let before = state.settings.replace(*settings).filter(|before| before != settings);
         state.pressures_before = before.as_ref().map(Pressures::of);
@@ -62,10 +65,6 @@ impl Supervisor {
         let expired = state.volumes.expired_share();
         let swings = state.standing.swings();
         self.expiration.start_breath(&mut state.expiration, expired, swings);
-        let believed = !state.flow.hides_gas() && state.unresponsive.is_none();
-        if self.pressure.is_sustained(&state.pressure) && believed && state.volumes.are_blocked() {
-            self.report(state, Fault::SustainedPressure);
-        }
     }
 
     /// Tells the monitors of the baseline that the settings have changed, if it concerns them.
@@ -103,11 +102,13 @@ impl Supervisor {
         }
         let settings = breath.settings();
         let (rise, whole) = (pressure - settings.peep, settings.pip - settings.peep);
+        let has_room = !state.leaves_no_room(breath);
         if let Some(responses) = &mut state.unresponsive {
             debug_assert!(*responses < RESPONSES, "so many end backup ventilation");
             // From where it was: a reading that stands still above PEEP has not responded.
             let rise = rise.min(pressure - state.standing.start());
-            *responses = in_a_row(*responses, rise >= RESPONSE * whole);
+            let responds = rise >= RESPONSE * whole && has_room;
+            *responses = in_a_row(*responses, responds);
             if *responses >= RESPONSES {
                 state.unresponsive = None;
                 state.ladder.step_down(Level::Pid);
@@ -175,10 +176,11 @@ impl Supervisor {
     }
 
     /// Judges what became of the last breath's gas, and whether the pressure has answered to it.
-    pub(super) fn judge_gas(&self, state: &mut SupervisorState, readings: &Readings, settings: &Settings) {
+    pub(super) fn judge_gas(&self, state: &mut SupervisorState, readings: &Readings, breath: &Breath) {
+        let peep = breath.settings().peep;
         let balance = state.volumes.balance().filter(|_| !state.flow.hides_gas());
         let Some(balance) = balance else {
-            state.gas = Gas::Unseen;
+            (state.gas, state.lies) = (Gas::Unseen, false);
             return;
         };
         let effort = state.start == Start::Effort;
@@ -187,15 +189,19 @@ impl Supervisor {
         let stays = expired < least || state.volumes.are_blocked();
         state.gas = if stays { Gas::Stays } else { Gas::ComesOut };
         let baselines = state.expiration.incomplete();
-        state.standing.add(balance.kept, baselines > 1);
+        let kept = state.standing.add(balance.kept, baselines);
+        let fills = state.volumes.are_blocked() && kept > FILLS * balance.inspired;
+        if fills && self.pressure.is_sustained(&state.pressure) && state.unresponsive.is_none() {
+            self.report(state, Fault::SustainedPressure);
+        }
+        let Some(elastance) = state.backup.elastance() else { return };
+        let at_rest = state.lies || (state.expiration.has_emptied() && !state.volumes.ended_with_outflow());
+        state.lies = at_rest && state.leaves_no_room(breath) && state.standing.lacks_gas(peep, elastance);
         // Of a breath that the limit has ended, the gas comes out earlier.
         let judged = state.cuts == 0 && state.level() != Level::Backup && !state.breath.is_disconnected();
-        let Some(elastance) = state.backup.elastance().filter(|_| judged) else { return };
-        let stands = baselines == IN_A_ROW && state.standing.denies_balance(settings.peep, elastance);
-        let away = state.gas == Gas::Stays && self.pressure.is_away(&state.pressure);
-        let lies = away && state.standing.lacks_gas(settings.peep, elastance);
-        let denied = stands || lies || state.standing.denies_outflow(expired, elastance);
-        if denied {
+        let stands = baselines == IN_A_ROW && state.standing.denies_balance(peep, elastance);
+        let denied = stands || state.lies || state.standing.denies_outflow(expired, elastance);
+        if judged && denied {
             self.disbelieve(state, readings);
         }
     }

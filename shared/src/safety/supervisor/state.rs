@@ -1,12 +1,16 @@
 //! The supervisor's state as others see it: the alarms, the level of the ladder, and the running breath.
 
 use super::{Belief, SupervisorState};
-use crate::breath::Moment;
+use crate::breath::{Breath, Moment};
 use crate::safety::alarms::Fault;
 use crate::safety::indications::Indications;
 use crate::safety::ladder::Level;
 use crate::safety::lung_estimator::TELLING_RISE;
 use crate::safety::source::Reading;
+use crate::settings::Settings;
+
+/// Share of the rise from PEEP to PIP that a baseline must leave for a breath: the gas in the lung must explain a higher one.
+pub const ROOM: f32 = 0.5;
 
 /// Whether the running breath's inspiration was ended early, at the pressure limit by what raised the pressure to it, or because its
 /// gas may flow out of an open tube.
@@ -19,16 +23,10 @@ pub(super) enum Cut {
     ByGas,
     /// The patient, who coughs.
     ByPatient,
+    /// One pressure sensor alone.
+    Denied,
     /// Neither: no pressure answers to the gas, which the expiration must show to come back.
     InDoubt,
-}
-
-impl Cut {
-    /// Ends the inspiration, once in a breath.
-    pub(super) fn end(&mut self, by_gas: bool) {
-        debug_assert!(*self == Self::None, "an inspiration ends once");
-        *self = if by_gas { Self::ByGas } else { Self::ByPatient };
-    }
 }
 
 /// What starts a breath.
@@ -88,6 +86,13 @@ impl SupervisorState {
     pub(super) fn stands_still(&self, peep: f32) -> bool {
         let rise = |elastance| elastance * self.lung.volume() > TELLING_RISE;
         self.standing.stands_above(peep) && self.backup.elastance().is_some_and(rise)
+    }
+
+    /// Whether the last expiration has left less than [`ROOM`] for a breath.
+    pub(super) fn leaves_no_room(&self, breath: &Breath) -> bool {
+        let Settings { pip, peep, .. } = *breath.settings();
+        let target = pip + self.expiration.shift(breath);
+        target - self.standing.start() < ROOM * (pip - peep)
     }
 
     /// Volume that has reached the patient so far in the breath, mL; none if the flow is not measured.
