@@ -102,17 +102,21 @@ fn deserved(fault: Fault, history: &History) -> bool {
             twice(history, leak) || history.window().filter(flows).count() >= 2
         }
         // Each breath has the limits that were in force with it.
-        Fault::TidalVolumeLow => {
-            twice_ended(history, |breath| below(breath.expired, breath.settings.tidal_volume_low))
-        }
-        Fault::TidalVolumeHigh => {
-            twice_ended(history, |breath| above(breath.expired, breath.settings.tidal_volume_high))
-        }
+        Fault::TidalVolumeLow => twice_ended(history, |breath| {
+            below(breath.flow.shown(breath.expired).0, breath.settings.tidal_volume_low)
+        }),
+        Fault::TidalVolumeHigh => twice_ended(history, |breath| {
+            above(breath.flow.shown(breath.expired).1, breath.settings.tidal_volume_high)
+        }),
         Fault::MinuteVolumeLow => any(history, |breath| {
-            breath.minute_volume.is_some_and(|volume| below(volume, breath.minute_limits.0))
+            breath
+                .minute_volume
+                .is_some_and(|volume| below(breath.flow.shown(volume).0, breath.minute_limits.0))
         }),
         Fault::MinuteVolumeHigh => any(history, |breath| {
-            breath.minute_volume.is_some_and(|volume| above(volume, breath.minute_limits.1))
+            breath
+                .minute_volume
+                .is_some_and(|volume| above(breath.flow.shown(volume).1, breath.minute_limits.1))
         }),
         Fault::Apnoea => any(history, |breath| breath.without_s >= APNOEA_S),
         Fault::VentilationFalls => twice_ended(history, |breath| smaller(breath, FALLS)),
@@ -225,15 +229,15 @@ fn sensors_disagree(breath: &BreathTruth) -> bool {
         || breath.airway.worst.max(breath.outlet.worst) > JUMP
 }
 
-/// A leak that takes considerable flow at PEEP, or much of the gas.
+/// A leak that takes considerable flow at PEEP, or much of the gas; a flow sensor with a wrong zero shows such a loss too.
 fn leak(breath: &BreathTruth) -> bool {
-    breath.leak_at_end > LEAK_FLOW || breath.leak_share > LEAK_SHARE
+    breath.leak_at_end > LEAK_FLOW || breath.leak_share + breath.flow.lost_share() > LEAK_SHARE
 }
 
 /// Whether a breath has less than a share of what the patient had in the minutes before.
 fn smaller(breath: &BreathTruth, share: f64) -> bool {
     let volume = breath.expired.max(0.5 * (breath.inspired + breath.expired));
-    breath.usual.is_some_and(|usual| volume < share * (1.0 + VOLUME_TOLERANCE) * usual)
+    breath.usual.is_some_and(|usual| breath.flow.shown(volume).0 < share * (1.0 + VOLUME_TOLERANCE) * usual)
 }
 
 /// Whether a volume is below its limit.

@@ -166,6 +166,32 @@ fn volumes_that_are_smaller_than_the_usual_ones() {
 }
 
 #[test]
+fn volumes_that_a_wrong_flow_sensor_shows() {
+    let sees = |gain: f64, zero: f64| {
+        move |breath: &mut BreathTruth| {
+            for ms in 0..2000 {
+                let flow = if ms < 1000 { 0.4 } else { -0.4 };
+                breath.flow.add((gain * flow + zero) as f32, flow);
+            }
+            breath.usual = Some(400.0);
+        }
+    };
+    for (low, high) in
+        [(Fault::TidalVolumeLow, Fault::TidalVolumeHigh), (Fault::MinuteVolumeLow, Fault::MinuteVolumeHigh)]
+    {
+        let twice = |fault, gain| verdicts(fault, &with(sees(gain, 0.0))).1;
+        assert!(twice(low, 0.7) && !twice(low, 1.4) && !twice(low, 0.92), "{low:?}");
+        assert!(twice(high, 1.4) && !twice(high, 0.7) && !twice(high, 1.08), "{high:?}");
+    }
+    let fallen = |gain| verdicts(Fault::VentilationFalls, &with(sees(gain, 0.0)));
+    // 400 mL that look like 240, or like 340.
+    assert_eq!((fallen(0.6), fallen(0.85)), ((false, true), (false, false)));
+    deserved_twice(Fault::Leak, sees(1.0, 0.05));
+    undeserved(Fault::Leak, sees(1.0, 0.01));
+    undeserved(Fault::Leak, sees(0.7, 0.0));
+}
+
+#[test]
 fn a_pressure_that_does_not_respond() {
     deserved_once(Fault::NoResponse, |breath| breath.starved_ms = 200);
     deserved_once(Fault::NoResponse, |breath| breath.leak = 20.0);

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use shared::sensor::Readings;
 use shared::settings::Settings;
 
+use super::flow_truth::FlowTruth;
 use super::patient::Patient;
 use super::sensor_truth::SensorTruth;
 use plant::bench::Truth;
@@ -76,6 +77,8 @@ pub struct BreathTruth {
     pub airway: SensorTruth,
     /// The sensor at the machine's outlet.
     pub outlet: SensorTruth,
+    /// The flow sensor.
+    pub flow: FlowTruth,
     pub(super) sums: Sums,
 }
 
@@ -144,6 +147,7 @@ impl BreathTruth {
             starved_ms: 0,
             airway: SensorTruth::default(),
             outlet: SensorTruth::default(),
+            flow: FlowTruth::default(),
             sums: Sums::default(),
         }
     }
@@ -395,6 +399,7 @@ impl History {
         let Some(running) = self.breaths.back_mut() else { return };
         running.airway.add(moment.readings.airway, lagged);
         running.outlet.add(moment.readings.outlet, outlet);
+        running.flow.add(moment.readings.flow, truth.flow_lung + truth.flow_leak);
         running.away_ms = away_ms;
         running.add(moment);
     }
