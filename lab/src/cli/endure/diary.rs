@@ -1,5 +1,7 @@
 //! A patient and what happens to it, in words.
 
+use std::mem::discriminant;
+
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
 
@@ -46,11 +48,26 @@ pub fn describe(patient: &Patient, context: &Context<'_>) {
     let later = bench.circuit.leak_changes.iter().map(|c| change(c.at_s, c.leak_l_per_s_at_30_cmh2o));
     let leaks: Vec<_> = std::iter::once(first).chain(later).collect();
     context.line(&format!("leak in L/s at 30 cmH2O: {}", leaks.join(", ")));
-    for FaultConfig { from_s, repeats, what, .. } in &bench.faults {
-        let again = repeats.map_or_else(String::new, |repeats| format!(", every {:.0} s", repeats.every_s));
-        context.line(&format!("from {from_s:.0} s{again}: {what:?}"));
+    for line in faults(&bench.faults) {
+        context.line(&line);
     }
     context.line(&format!("settings: {}\n", entered(&patient.settings)));
+}
+
+/// What fails and what the patient does again and again. Steps of one change share a line.
+fn faults(faults: &[FaultConfig]) -> Vec<String> {
+    let same = |a: &FaultConfig, b: &FaultConfig| discriminant(&a.what) == discriminant(&b.what);
+    let line = |steps: &[FaultConfig]| {
+        let (FaultConfig { from_s, repeats, what, .. }, last) = (steps[0], steps[steps.len() - 1]);
+        match (repeats, steps.len()) {
+            (Some(repeats), _) => format!("from {from_s:.0} s on, every {:.0} s: {what:?}", repeats.every_s),
+            (None, 1) => format!("from {from_s:.0} s on: {what:?}"),
+            (None, count) => {
+                format!("{count} steps from {from_s:.0} to {:.0} s: {what:?} to {:?}", last.from_s, last.what)
+            }
+        }
+    };
+    faults.chunk_by(|a, b| a.repeats.is_none() && b.repeats.is_none() && same(a, b)).map(line).collect()
 }
 
 fn entered(settings: &Settings) -> String {

@@ -95,8 +95,7 @@ pub fn run(
     let controller = &ward::controller(controller, &patient.bench);
     let end_ms = (hours * 3.6e6).round() as u32;
     let seconds = f64::from(end_ms) * 1e-3;
-    let least = patient.spans(seconds).map(|(settings, _)| patient.passive_volume_ml(&settings));
-    let threshold = DELIVERED * least.fold(f64::INFINITY, f64::min);
+    let threshold = DELIVERED * patient.least_volume_ml(seconds);
     let memory = PrescriptionMemory::new();
     let mut stay = Stay::new(&memory, patient, &patient.bench, controller, threshold)?;
     for ms in 0..end_ms {

@@ -12,7 +12,7 @@ pub use super::operator::SettingsChange;
 use super::slow_fault;
 use super::ward::Kind;
 use crate::faults::volume::{VolumeLimits, passive_volume_ml};
-use plant::bench::{BenchConfig, Failure};
+use plant::bench::{BenchConfig, Failure, Faulty};
 
 /// Standard deviation of the outlet sensor's noise, cmH2O; the family draws that of the airway sensor.
 const NOISE: (f64, f64) = (0.03, 0.2);
@@ -84,6 +84,28 @@ impl Patient {
         bench
     }
 
+    /// Least volume of a passive breath in a stay of some seconds, mL: at any of the settings, on the lung and tube as they are in the end.
+    pub fn least_volume_ml(&self, seconds: f64) -> f64 {
+        let mut bench = self.passive_bench();
+        let lung = &mut bench.lung.first;
+        let growth = 0.01 * self.bench.patient.resistance_growth_percent_per_hour;
+        lung.resistance_cmh2o_per_l_s *= 1.0 + growth * seconds / 3600.0;
+        let mut narrowed = 1.0_f64;
+        for fault in self.bench.faults.iter().filter(|fault| fault.from_s < seconds) {
+            match fault.what {
+                Faulty::Lung { resistance, compliance } => {
+                    lung.resistance_cmh2o_per_l_s *= resistance;
+                    lung.compliance_ml_per_cmh2o *= compliance;
+                }
+                Faulty::Part(Failure::TubeNarrowed(factor)) => narrowed = factor,
+                _ => {}
+            }
+        }
+        lung.resistance_cmh2o_per_l_s *= narrowed;
+        let volumes = self.spans(seconds).map(|(settings, _)| passive_volume_ml(&bench, &settings));
+        volumes.fold(f64::INFINITY, f64::min)
+    }
+
     /// Volume of a breath of the passive lung at these settings once breath follows breath evenly, mL.
     pub fn passive_volume_ml(&self, settings: &Settings) -> f64 {
         passive_volume_ml(&self.bench, settings)
@@ -114,6 +136,7 @@ fn machine(rng: &mut ChaCha8Rng, bench: &mut BenchConfig) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::endure::ramp::lasting;
 
     fn patients() -> impl Iterator<Item = Patient> {
         (0..300).map(|number| Patient::draw(1, number, 3.0))
@@ -133,6 +156,20 @@ mod tests {
             ];
             assert!(airway.1 <= airway.0 && outlet.1 <= outlet.0, "a silent sensor");
         }
+    }
+
+    #[test]
+    fn the_least_volume_is_that_of_the_narrowed_tube_and_the_stiffened_lung() {
+        let mut patient = Patient::draw(1, 0, 0.1);
+        (patient.bench, patient.changes) = (BenchConfig::paper(20.0, 20.0), Vec::new());
+        let sound = patient.least_volume_ml(3600.0);
+        assert!((sound - patient.passive_volume_ml(&patient.settings)).abs() < 1e-9);
+        patient.bench.faults = vec![
+            lasting(100.0, Faulty::Lung { resistance: 1.0, compliance: 0.5 }),
+            lasting(4000.0, Faulty::Part(Failure::TubeNarrowed(30.0))),
+        ];
+        let stiff = patient.least_volume_ml(3600.0);
+        assert!(stiff < 0.8 * sound && patient.least_volume_ml(5000.0) < 0.3 * stiff);
     }
 
     #[test]

@@ -27,6 +27,8 @@ pub struct BreathTruth {
     pub settings: Settings,
     /// Whether at least two breaths before it had the same settings.
     pub settled: bool,
+    /// Whether PEEP was lowered with it or with the breath before it.
+    pub peep_is_lower: bool,
     /// Highest true airway pressure, cmH2O.
     pub peak: f64,
     /// Lowest true airway pressure, cmH2O.
@@ -122,6 +124,7 @@ impl BreathTruth {
         Self {
             settings: *settings,
             settled,
+            peep_is_lower: false,
             peak: f64::NEG_INFINITY,
             lowest: f64::INFINITY,
             vented_above_ms: 0,
@@ -311,6 +314,8 @@ pub struct History {
     breaths: VecDeque<BreathTruth>,
     /// Breaths in a row with the present settings.
     unchanged: u32,
+    /// Breaths since PEEP was lowered.
+    since_lower_peep: u32,
     away_ms: u32,
     volumes: Volumes,
     usual: Usual,
@@ -337,6 +342,7 @@ impl History {
         Self {
             breaths: VecDeque::from([BreathTruth::new(&patient.settings, false)]),
             unchanged: 0,
+            since_lower_peep: u32::MAX,
             away_ms: 0,
             volumes: Volumes::default(),
             usual: Usual::default(),
@@ -356,6 +362,7 @@ impl History {
         Self {
             breaths,
             unchanged: 9,
+            since_lower_peep: u32::MAX,
             away_ms: 0,
             volumes,
             usual,
@@ -370,10 +377,14 @@ impl History {
     pub fn start_breath(&mut self, settings: &Settings) {
         self.end_breath();
         self.unchanged = if self.running().settings == *settings { self.unchanged + 1 } else { 0 };
+        let lowered = settings.peep < self.running().settings.peep;
+        self.since_lower_peep = if lowered { 0 } else { self.since_lower_peep.saturating_add(1) };
         if self.breaths.len() == KEPT {
             self.breaths.pop_front();
         }
-        self.breaths.push_back(BreathTruth::new(settings, self.unchanged >= 2));
+        let peep_is_lower = self.since_lower_peep < 2;
+        self.breaths
+            .push_back(BreathTruth { peep_is_lower, ..BreathTruth::new(settings, self.unchanged >= 2) });
     }
 
     /// Adds the running breath to the minute volumes and to the time without a breath.
