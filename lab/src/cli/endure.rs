@@ -31,10 +31,11 @@ Examples:
   lab endure --patients 1000 --hours 24 --shard 3/40 --out out/endure   # each task of 40, then:
   lab endure --patients 1000 --hours 24 --merge --out out/endure
 
-Lung, breathing, coughs, leaks, machine and settings are drawn from the seed and the patient's
-number. The bench knows the truth: an alarm is deserved if its condition was true in the running
-breath or the two before it, within the tolerance of the sensors; it is missed if its condition was
-exceeded for six breaths and no alarm came.
+Adults and newborns, their machines, what they do, what is set, and in one of ten a fault that grows
+are drawn from the seed and the patient's number. Settings change as at a bedside: weaning,
+recruitment, rate and inspiratory time, limit and shape. The bench knows the truth: an alarm is
+deserved if its condition was true in the running breath or the two before it, within the tolerance
+of the sensors; it is missed if its condition was exceeded for six breaths and no alarm came.
 
 The result does not depend on the number of threads. With --keep, the patients that are done at
 Ctrl-C are kept, and the same command continues with the others. The command fails after an
@@ -49,7 +50,7 @@ pub struct Args {
     /// Seed of the patients, machines and settings
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train` [default: the PID of the fault matrix]
+    /// A learned controller for the adults: a shipped one, such as adult, or a file as written by `trainer train`; newborns have the PID of their family [default: the PID of the fault matrix]
     #[arg(long, value_name = "NAME|FILE")]
     controller: Option<PathBuf>,
     /// Run this patient only, and print its alarms with times and reasons

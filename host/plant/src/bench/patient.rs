@@ -81,16 +81,24 @@ impl Patient {
         let mut pressure = 0.0;
         if let Some(drive) = &self.drive {
             if let Some(effort) = drive.effort() {
-                pressure += effort.peak * pulse(time_s - effort.started_s, config.effort_duration_s);
+                pressure += self.effort(effort.peak, time_s - effort.started_s, time_s);
             }
         } else if config.effort_cmh2o > 0.0 {
-            pressure +=
-                config.effort_cmh2o * pulse(self.since_regular_start_s(time_s), config.effort_duration_s);
+            pressure += self.effort(config.effort_cmh2o, self.since_regular_start_s(time_s), time_s);
         }
         if let Some((strain, at_s)) = self.strain {
             pressure -= strain.cmh2o * pulse(time_s - at_s, strain.duration_s);
         }
         pressure - self.coughs.pressure(time_s)
+    }
+
+    /// Pressure of an effort of this peak some time after its beginning, s. Its strength is that of the time when it began.
+    fn effort(&self, peak: f64, since_s: f64, time_s: f64) -> f64 {
+        let config = &self.config;
+        let turns = (time_s - since_s) / config.effort_wanes_every_s;
+        let waned = 0.5 - 0.5 * (std::f64::consts::TAU * turns).cos();
+        let strength = 1.0 - 0.01 * config.effort_wanes_percent * waned;
+        strength * peak * pulse(since_s, config.effort_duration_s)
     }
 
     /// When the last effort began, s, and the number of efforts so far.
@@ -145,6 +153,26 @@ mod tests {
             let start_s = 4.0 * f64::from(breath);
             assert!((patient.muscle_pressure(start_s + middle_s) - 8.0).abs() < 1e-9);
             assert!(patient.muscle_pressure(start_s + config.effort_duration_s + 0.1).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn efforts_wane_and_come_back() {
+        let regular =
+            PatientConfig { effort_cmh2o: 8.0, effort_wanes_percent: 75.0, ..PatientConfig::default() };
+        let irregular = PatientConfig { effort_variability_percent: 1e-9, ..regular };
+        for config in [regular, irregular] {
+            let mut patient = patient(config);
+            let middle_ms = (500.0 * config.effort_duration_s) as u32;
+            let mut pressure = |ms: u32| {
+                patient.advance(f64::from(ms) * 1e-3);
+                patient.muscle_pressure(f64::from(ms) * 1e-3)
+            };
+            let pressures: Vec<_> = (0..62_000).map(&mut pressure).collect();
+            // 60 s from one strongest effort to the next; an effort begins every 4 s.
+            let peaks = [0, 16_000, 28_000, 60_000].map(|from_ms| pressures[(from_ms + middle_ms) as usize]);
+            assert!((peaks[0] - 8.0).abs() < 1e-6 && (peaks[3] - 8.0).abs() < 1e-6, "{peaks:?}");
+            assert!(peaks[1] < 6.0 && peaks[2] < 2.2, "{peaks:?}");
         }
     }
 

@@ -109,7 +109,7 @@ pub struct Bound {
 pub enum BoundError {
     /// Breaths differ, so no single inspiration represents them.
     #[error(
-        "the patient of bench {0} breathes irregularly, coughs or changes, or its leak does, so a bound for one breath does not apply to the next: set effort_variability_percent, double_efforts_percent, cough_cmh2o, change_at_breath and resistance_growth_percent_per_hour to 0, and remove leak_changes"
+        "the patient of bench {0} breathes irregularly, coughs or changes, or its leak does, so a bound for one breath does not apply to the next: set effort_variability_percent, double_efforts_percent, effort_wanes_percent, cough_cmh2o, change_at_breath and resistance_growth_percent_per_hour to 0, and remove leak_changes"
     )]
     Patient(String),
     /// Efforts drift against the breaths.
@@ -188,7 +188,9 @@ pub fn bounds(
 /// Whether every breath with the same commands is the same, if it follows the efforts.
 fn repeats(bench: &BenchConfig) -> bool {
     let patient = &bench.patient;
-    let regular = patient.effort_variability_percent <= 0.0 && patient.double_efforts_percent <= 0.0;
+    let differs =
+        [patient.effort_variability_percent, patient.double_efforts_percent, patient.effort_wanes_percent];
+    let regular = differs.iter().all(|percent| *percent <= 0.0);
     let quiet = (regular || patient.effort_cmh2o <= 0.0) && patient.cough_cmh2o <= 0.0;
     let steady = patient.change_at_breath == 0 && patient.resistance_growth_percent_per_hour <= 0.0;
     quiet && steady && bench.circuit.leak_changes.is_empty()

@@ -160,6 +160,12 @@ fn a_patient_who_moves_is_refused() {
             effort_rate_per_min: 20.0,
             ..PatientConfig::default()
         },
+        PatientConfig {
+            effort_cmh2o: 5.0,
+            effort_wanes_percent: 5.0,
+            effort_rate_per_min: 20.0,
+            ..PatientConfig::default()
+        },
         PatientConfig { cough_cmh2o: 5.0, ..PatientConfig::default() },
         PatientConfig { change_at_breath: 3, ..PatientConfig::default() },
         PatientConfig { resistance_growth_percent_per_hour: 5.0, ..PatientConfig::default() },

@@ -1,9 +1,12 @@
 //! A patient and what happens to it, in words.
 
+use std::mem::discriminant;
+
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
 
 use host::command::Context;
+use plant::bench::FaultConfig;
 use trials::endure::course::{Event, Observer, Scene};
 use trials::endure::deserved::Verdict;
 use trials::endure::patient::Patient;
@@ -15,8 +18,7 @@ pub fn describe(patient: &Patient, context: &Context<'_>) {
     let lung = &bench.lung.first;
     context.line(&format!(
         "patient {}: R {:.1}, C {:.1}, resistance grows by {:.0} %/h; unit {}, noise {:.3} and {:.3} cmH2O, quantum {:.3} and \
-         {:.3} cmH2O (airway, outlet), drift {:.2} and {:.2} cmH2O/h; flow sensor \
-         off by {:.1} %",
+         {:.3} cmH2O (airway, outlet); flow sensor off by {:.1} %",
         patient.number,
         lung.resistance_cmh2o_per_l_s,
         lung.compliance_ml_per_cmh2o,
@@ -26,18 +28,18 @@ pub fn describe(patient: &Patient, context: &Context<'_>) {
         bench.outlet_sensor.noise_sd_cmh2o,
         bench.sensor.quantum_cmh2o,
         bench.outlet_sensor.quantum_cmh2o,
-        bench.unit.sensor_drift_cmh2o_per_hour,
-        bench.outlet_sensor.drift_cmh2o_per_hour,
         bench.flow_sensor.gain_error_percent,
     ));
     context.line(&format!(
-        "efforts of {:.1} cmH2O, {:.1} a minute, {:.2} s long, varying by {:.0} %, {:.0} % double; {:.0} coughs of {:.0} cmH2O \
-         an hour",
+        "efforts of {:.1} cmH2O, {:.1} a minute, {:.2} s long, varying by {:.0} %, {:.0} % double, waning by {:.0} % every \
+         {:.0} s; {:.0} coughs of {:.0} cmH2O an hour",
         breathing.effort_cmh2o,
         breathing.effort_rate_per_min,
         breathing.effort_duration_s,
         breathing.effort_variability_percent,
         breathing.double_efforts_percent,
+        breathing.effort_wanes_percent,
+        breathing.effort_wanes_every_s,
         breathing.coughs_per_hour,
         breathing.cough_cmh2o,
     ));
@@ -46,7 +48,26 @@ pub fn describe(patient: &Patient, context: &Context<'_>) {
     let later = bench.circuit.leak_changes.iter().map(|c| change(c.at_s, c.leak_l_per_s_at_30_cmh2o));
     let leaks: Vec<_> = std::iter::once(first).chain(later).collect();
     context.line(&format!("leak in L/s at 30 cmH2O: {}", leaks.join(", ")));
+    for line in faults(&bench.faults) {
+        context.line(&line);
+    }
     context.line(&format!("settings: {}\n", entered(&patient.settings)));
+}
+
+/// What fails and what the patient does again and again. Steps of one change share a line.
+fn faults(faults: &[FaultConfig]) -> Vec<String> {
+    let same = |a: &FaultConfig, b: &FaultConfig| discriminant(&a.what) == discriminant(&b.what);
+    let line = |steps: &[FaultConfig]| {
+        let (FaultConfig { from_s, repeats, what, .. }, last) = (steps[0], steps[steps.len() - 1]);
+        match (repeats, steps.len()) {
+            (Some(repeats), _) => format!("from {from_s:.0} s on, every {:.0} s: {what:?}", repeats.every_s),
+            (None, 1) => format!("from {from_s:.0} s on: {what:?}"),
+            (None, count) => {
+                format!("{count} steps from {from_s:.0} to {:.0} s: {what:?} to {:?}", last.from_s, last.what)
+            }
+        }
+    };
+    faults.chunk_by(|a, b| a.repeats.is_none() && b.repeats.is_none() && same(a, b)).map(line).collect()
 }
 
 fn entered(settings: &Settings) -> String {

@@ -16,6 +16,7 @@ use super::missed::{Condition, MissedWatch};
 use super::patient::Patient;
 use super::tally::PatientResult;
 use super::truth::{BreathTruth, History, Moment};
+use super::ward;
 use crate::faults::rig::Attended;
 use crate::faults::volume::VolumeMeter;
 use plant::bench::{BenchConfig, BenchPlant};
@@ -30,7 +31,7 @@ const RESTARTED_AFTER: u32 = 10_000;
 /// Longest gap without a delivered breath that is no interruption, s.
 const APNOEA: f64 = 20.0;
 /// Breaths of the passive patient per setting: to settle, and in all.
-const SOUND_BREATHS: (f64, f64) = (4.0, 14.0);
+const SOUND_BREATHS: (f64, f64) = (6.0, 10.0);
 
 /// What happens in a stay.
 #[derive(Clone, Debug)]
@@ -81,7 +82,7 @@ pub trait Observer {
 
 impl Observer for () {}
 
-/// Runs a patient's stay of some hours; none if the observer ends it.
+/// Runs a patient's stay of some hours; none if the observer ends it. The controller is that of adults.
 ///
 /// # Errors
 /// A bench or settings that are refused.
@@ -91,10 +92,10 @@ pub fn run(
     hours: f64,
     observer: &mut dyn Observer,
 ) -> Result<Option<PatientResult>, SourceError> {
+    let controller = &ward::controller(controller, &patient.bench);
     let end_ms = (hours * 3.6e6).round() as u32;
     let seconds = f64::from(end_ms) * 1e-3;
-    let least = patient.spans(seconds).map(|(settings, _)| patient.passive_volume_ml(&settings));
-    let threshold = DELIVERED * least.fold(f64::INFINITY, f64::min);
+    let threshold = DELIVERED * patient.least_volume_ml(seconds);
     let memory = PrescriptionMemory::new();
     let mut stay = Stay::new(&memory, patient, &patient.bench, controller, threshold)?;
     for ms in 0..end_ms {
@@ -126,7 +127,7 @@ pub fn run(
 fn sound_volume(patient: &Patient, controller: &Controller, seconds: f64) -> Result<f64, SourceError> {
     let bench = patient.passive_bench();
     let mut volume = 0.0;
-    for (settings, span_s) in patient.spans(seconds) {
+    for (settings, span_s) in times(patient.spans(seconds)) {
         let alone = Patient { settings, changes: Vec::new(), ..patient.clone() };
         let threshold = DELIVERED * patient.passive_volume_ml(&settings);
         let memory = PrescriptionMemory::new();
@@ -144,6 +145,18 @@ fn sound_volume(patient: &Patient, controller: &Controller, seconds: f64) -> Res
         volume += measured * span_s * 1e3 / f64::from(to_ms - from_ms);
     }
     Ok(volume)
+}
+
+/// The different settings, each with all its time, s: a recruitment returns to earlier ones.
+fn times(spans: impl Iterator<Item = (Settings, f64)>) -> Vec<(Settings, f64)> {
+    let mut times: Vec<(Settings, f64)> = Vec::new();
+    for (settings, span_s) in spans {
+        match times.iter_mut().find(|(other, _)| *other == settings) {
+            Some((_, sum_s)) => *sum_s += span_s,
+            None => times.push((settings, span_s)),
+        }
+    }
+    times
 }
 
 /// A stay in progress.

@@ -4,8 +4,8 @@
 //! reads the pressure through a sensor with an offset, and its alarms must be judged by what they can know. Low-priority
 //! alarms are only counted.
 //!
-//! Alarms about a breath's shape (baseline, low pressure, occlusion, a share of the gas that is lost) are never deserved in the
-//! first two breaths after a change of the settings.
+//! Alarms about a breath's shape (low baseline, low pressure, occlusion, a share of the gas that is lost) are never deserved in the
+//! first two breaths after a change of the settings; a high baseline is not in the first two after PEEP was lowered.
 
 use shared::safety::alarms::{Fault, Priority};
 use shared::settings::Settings;
@@ -36,7 +36,7 @@ const LEAK_SHARE: f64 = 0.15;
 const OPEN: f64 = 1.0;
 /// Effort at the end of an expiration that draws the pressure down by itself, cmH2O.
 const EFFORT: f64 = 1.0;
-/// Leak that can take PEEP away in spite of an effort, L/s at 30 cmH2O.
+/// Leak that can take PEEP away in spite of an effort, and that is one at any settings, L/s at 30 cmH2O.
 const SMALL_LEAK: f64 = 0.1;
 /// Time above the limit with an open expiratory valve, and away from PEEP, ms, after which the latched alarms are due.
 const HARD_LIMIT_MS: u32 = 600;
@@ -86,7 +86,8 @@ fn deserved(fault: Fault, history: &History) -> bool {
         Fault::HighPressure | Fault::CommandCapped => any(history, high_pressure),
         Fault::HardLimit => any(history, |breath| breath.vented_above_ms >= HARD_LIMIT_MS),
         Fault::SustainedPressure => any(history, |breath| breath.away_ms >= SUSTAINED_MS),
-        Fault::BaselineHigh => twice(history, baseline_high),
+        // What stays above PEEP is so from the first breath on, unless PEEP has just been lowered.
+        Fault::BaselineHigh => history.window().filter(|b| !b.peep_is_lower && baseline_high(b)).count() >= 2,
         Fault::BaselineLow => twice(history, baseline_low),
         Fault::LowPressure => twice(history, low_pressure),
         Fault::Disconnection => any(history, disconnected),
@@ -99,20 +100,24 @@ fn deserved(fault: Fault, history: &History) -> bool {
         Fault::Leak => {
             // What the leak lets through at PEEP does not depend on the breath.
             let flows = |breath: &&BreathTruth| breath.leak * (breath.peep() / 30.0).sqrt() > LEAK_FLOW;
-            twice(history, leak) || history.window().filter(flows).count() >= 2
+            twice(history, leak) || large_leaks(history) >= 2 || history.window().filter(flows).count() >= 2
         }
         // Each breath has the limits that were in force with it.
-        Fault::TidalVolumeLow => {
-            twice_ended(history, |breath| below(breath.expired, breath.settings.tidal_volume_low))
-        }
-        Fault::TidalVolumeHigh => {
-            twice_ended(history, |breath| above(breath.expired, breath.settings.tidal_volume_high))
-        }
+        Fault::TidalVolumeLow => twice_ended(history, |breath| {
+            below(breath.flow.shown(breath.expired).0, breath.settings.tidal_volume_low)
+        }),
+        Fault::TidalVolumeHigh => twice_ended(history, |breath| {
+            above(breath.flow.shown(breath.expired).1, breath.settings.tidal_volume_high)
+        }),
         Fault::MinuteVolumeLow => any(history, |breath| {
-            breath.minute_volume.is_some_and(|volume| below(volume, breath.minute_limits.0))
+            breath
+                .minute_volume
+                .is_some_and(|volume| below(breath.flow.shown(volume).0, breath.minute_limits.0))
         }),
         Fault::MinuteVolumeHigh => any(history, |breath| {
-            breath.minute_volume.is_some_and(|volume| above(volume, breath.minute_limits.1))
+            breath
+                .minute_volume
+                .is_some_and(|volume| above(breath.flow.shown(volume).1, breath.minute_limits.1))
         }),
         Fault::Apnoea => any(history, |breath| breath.without_s >= APNOEA_S),
         Fault::VentilationFalls => twice_ended(history, |breath| smaller(breath, FALLS)),
@@ -225,15 +230,20 @@ fn sensors_disagree(breath: &BreathTruth) -> bool {
         || breath.airway.worst.max(breath.outlet.worst) > JUMP
 }
 
-/// A leak that takes considerable flow at PEEP, or much of the gas.
+/// A leak that takes considerable flow at PEEP, or much of the gas; a flow sensor with a wrong zero shows such a loss too.
 fn leak(breath: &BreathTruth) -> bool {
-    breath.leak_at_end > LEAK_FLOW || breath.leak_share > LEAK_SHARE
+    breath.leak_at_end > LEAK_FLOW || breath.leak_share + breath.flow.lost_share() > LEAK_SHARE
+}
+
+/// Breaths with much of their gas through a leak that is no small one: new settings cannot feign that.
+fn large_leaks(history: &History) -> usize {
+    history.window().filter(|breath| breath.leak > SMALL_LEAK && leak(breath)).count()
 }
 
 /// Whether a breath has less than a share of what the patient had in the minutes before.
 fn smaller(breath: &BreathTruth, share: f64) -> bool {
     let volume = breath.expired.max(0.5 * (breath.inspired + breath.expired));
-    breath.usual.is_some_and(|usual| volume < share * (1.0 + VOLUME_TOLERANCE) * usual)
+    breath.usual.is_some_and(|usual| breath.flow.shown(volume).0 < share * (1.0 + VOLUME_TOLERANCE) * usual)
 }
 
 /// Whether a volume is below its limit.

@@ -86,7 +86,9 @@ fn pressure_above_the_limit() {
 
 #[test]
 fn a_baseline_away_from_peep() {
-    deserved_twice(Fault::BaselineHigh, |breath| breath.baseline = Some(8.5));
+    let high = with(|breath| (breath.baseline, breath.settled) = (Some(8.5), false));
+    assert_eq!(verdicts(Fault::BaselineHigh, &high), (false, true), "whether the settings are new or not");
+    undeserved(Fault::BaselineHigh, |breath| (breath.baseline, breath.peep_is_lower) = (Some(8.5), true));
     undeserved(Fault::BaselineHigh, |breath| breath.baseline = Some(6.5));
     deserved_twice(Fault::BaselineLow, |breath| breath.baseline = Some(2.5));
     undeserved(Fault::BaselineLow, |breath| breath.baseline = Some(4.5));
@@ -99,6 +101,17 @@ fn a_baseline_away_from_peep() {
 }
 
 #[test]
+fn the_first_two_breaths_with_a_lower_peep_are_known() {
+    let mut history = History::of(vec![sound()], LUNG);
+    let at = |peep: f32| Settings { peep, ..Settings::default() };
+    let lower = [5.0, 3.0, 3.0, 3.0, 6.0].map(|peep| {
+        history.start_breath(&at(peep));
+        history.running().peep_is_lower
+    });
+    assert_eq!(lower, [false, true, true, false, false]);
+}
+
+#[test]
 fn an_inspiration_that_does_not_reach_its_pressure() {
     deserved_twice(Fault::LowPressure, |breath| breath.plateau = Some(9.0));
     undeserved(Fault::LowPressure, |breath| breath.plateau = Some(12.0));
@@ -108,6 +121,8 @@ fn an_inspiration_that_does_not_reach_its_pressure() {
 fn leak_and_disconnection() {
     deserved_twice(Fault::Leak, |breath| breath.leak_at_end = 0.1);
     deserved_twice(Fault::Leak, |breath| breath.leak_share = 0.25);
+    let new = with(|breath| (breath.leak, breath.leak_share, breath.settled) = (0.2, 0.5, false));
+    assert_eq!(verdicts(Fault::Leak, &new), (false, true), "a large leak at settings that are new");
     undeserved(Fault::Leak, |breath| (breath.leak_at_end, breath.leak_share) = (0.02, 0.05));
     deserved_once(Fault::Disconnection, |breath| breath.leak = 20.0);
     undeserved(Fault::Disconnection, |breath| breath.leak = 0.5);
@@ -163,6 +178,32 @@ fn volumes_that_are_smaller_than_the_usual_ones() {
     assert_eq!((verdicts(lost, 290.0, 50.0), verdicts(lost, 290.0, 49.0)), ((false, true), (false, false)));
     // Of the usual volume nothing is known at first.
     undeserved(falls, |breath| (breath.inspired, breath.expired) = (0.0, 0.0));
+}
+
+#[test]
+fn volumes_that_a_wrong_flow_sensor_shows() {
+    let sees = |gain: f64, zero: f64| {
+        move |breath: &mut BreathTruth| {
+            for ms in 0..2000 {
+                let flow = if ms < 1000 { 0.4 } else { -0.4 };
+                breath.flow.add((gain * flow + zero) as f32, flow);
+            }
+            breath.usual = Some(400.0);
+        }
+    };
+    for (low, high) in
+        [(Fault::TidalVolumeLow, Fault::TidalVolumeHigh), (Fault::MinuteVolumeLow, Fault::MinuteVolumeHigh)]
+    {
+        let twice = |fault, gain| verdicts(fault, &with(sees(gain, 0.0))).1;
+        assert!(twice(low, 0.7) && !twice(low, 1.4) && !twice(low, 0.92), "{low:?}");
+        assert!(twice(high, 1.4) && !twice(high, 0.7) && !twice(high, 1.08), "{high:?}");
+    }
+    let fallen = |gain| verdicts(Fault::VentilationFalls, &with(sees(gain, 0.0)));
+    // 400 mL that look like 240, or like 340.
+    assert_eq!((fallen(0.6), fallen(0.85)), ((false, true), (false, false)));
+    deserved_twice(Fault::Leak, sees(1.0, 0.05));
+    undeserved(Fault::Leak, sees(1.0, 0.01));
+    undeserved(Fault::Leak, sees(0.7, 0.0));
 }
 
 #[test]

@@ -231,9 +231,10 @@ mod tests {
         assert_eq!((twice.median_delay_ms(), twice.delays.iter().sum::<u64>()), (Some(20), 10));
     }
 
-    /// A patient on this lung who makes efforts of a strength faster than the set rate, at a machine drawn from the seed.
+    /// A patient on this lung who makes efforts of a strength faster than the set rate, at an adult's machine drawn from the seed.
     fn patient(number: u64, lung: (f64, f64), effort: f64, leak: f64, rate: f32) -> Patient {
-        let mut patient = Patient::draw(21, number, 0.1);
+        let mut drawn = (0..).map(|seed| Patient::draw(21 + seed, number, 0.1));
+        let mut patient = drawn.find(|patient| patient.bench.valve.max_flow_l_per_s > 1.0).unwrap();
         patient.changes.clear();
         patient.settings = Settings { rate, inspiratory_time: 0.8, fall_time: 0.3, ..Settings::default() };
         let bench = &mut patient.bench;
@@ -241,6 +242,7 @@ mod tests {
         (first.resistance_cmh2o_per_l_s, first.compliance_ml_per_cmh2o) = lung;
         bench.circuit.leak_l_per_s_at_30_cmh2o = leak;
         bench.circuit.leak_changes.clear();
+        bench.faults.clear();
         bench.patient = BenchConfig::default().patient;
         bench.patient.effort_cmh2o = effort;
         bench.patient.effort_rate_per_min = 1.3 * f64::from(rate);

@@ -5,16 +5,23 @@
 //! ([`missed`]). Patients are independent, so the result depends neither on the number of threads nor on where an earlier
 //! test was stopped.
 
+mod behaviour;
+mod chance;
 pub mod course;
 pub mod deserved;
 pub mod efforts;
+pub mod flow_truth;
 pub mod missed;
+mod operator;
 pub mod patient;
+mod ramp;
 pub mod sensor_truth;
+mod slow_fault;
 pub mod tally;
 #[cfg(test)]
 mod tests;
 pub mod truth;
+mod ward;
 
 use serde::{Deserialize, Serialize};
 use shared::breath::DEFAULT_PERIOD_US;

@@ -3,34 +3,24 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rand_distr::StandardNormal;
-use shared::settings::{LIMIT_MARGIN, Settings};
+use shared::settings::Settings;
 
+use super::behaviour::{TIGHT, behave, leaks};
+use super::chance::{apart, normal, uniform};
+use super::operator;
+pub use super::operator::SettingsChange;
+use super::slow_fault;
+use super::ward::Kind;
 use crate::faults::volume::{VolumeLimits, passive_volume_ml};
-use plant::bench::{BenchConfig, Failure, LeakChange};
+use plant::bench::{BenchConfig, Failure, Faulty};
 
-/// Resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
-const LUNGS: [(f64, f64); 2] = [(5.0, 50.0), (10.0, 60.0)];
-/// Standard deviation of the pressure sensors' noise, cmH2O.
+/// Standard deviation of the outlet sensor's noise, cmH2O; the family draws that of the airway sensor.
 const NOISE: (f64, f64) = (0.03, 0.2);
 /// Quantum of the pressure sensors, cmH2O; never above the noise, so that no sound sensor is silent.
 const QUANTUM: (f64, f64) = (0.01, 0.1);
 /// Spread of the outlet sensor's offset, cmH2O, and of the flow sensor's gain, percent (sd).
 const OUTLET_OFFSET: f64 = 0.3;
 const FLOW_GAIN: f64 = 3.0;
-/// Drift of a pressure sensor of one machine in ten, cmH2O/h.
-const DRIFT: f64 = 1.0;
-/// A tight circuit's leak, and the largest one, L/s at 30 cmH2O.
-const TIGHT: f64 = 0.005;
-const LEAK: f64 = 0.5;
-/// Time between two changes of the leak, s.
-const LEAK_LASTS: (f64, f64) = (300.0, 1800.0);
-/// Breaths between two changes of the settings.
-const SETTINGS_LAST: (f64, f64) = (200.0, 600.0);
-/// Smallest and largest rise from PEEP to PIP, cmH2O.
-const RISE: (f32, f32) = (5.0, 30.0);
-/// Highest PIP that a device accepts, cmH2O.
-const HIGHEST_PIP: f32 = 50.0;
 /// Alarm limits of the volumes, as factors on what the passive lung gets; and the highest ones that a device accepts, mL, L/min.
 const LIMITS: VolumeLimits = VolumeLimits { tidal: (0.5, 2.5), minute: (0.5, 2.5) };
 const HIGHEST_LIMITS: (f32, f32) = (3000.0, 60.0);
@@ -52,35 +42,27 @@ pub struct Patient {
     pub failure: Option<(u32, Failure)>,
 }
 
-/// Settings that the operator enters.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SettingsChange {
-    /// Time, s.
-    pub at_s: f64,
-    /// The new settings.
-    pub settings: Settings,
-}
-
 impl Patient {
     /// Draws the patient of this number, for a stay of some hours. The beginning of a longer stay is the shorter one.
     pub fn draw(seed: u64, number: u64, hours: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(number);
-        let [resistance, compliance] = LUNGS.map(|range| log_uniform(&mut rng, range));
-        let mut bench = BenchConfig::paper(resistance, compliance);
+        let kind = Kind::draw(&mut rng);
+        let mut bench = kind.bench(&mut rng);
         bench.name = format!("patient {number}");
-        let settings = prescription(&mut rng);
+        let settings = kind.prescription(&mut rng, &bench);
         machine(&mut rng, &mut bench);
-        breathing(&mut rng, &mut bench, f64::from(settings.rate));
+        behave(&mut rng, kind, &mut bench, f64::from(settings.rate));
         let noise = rng.random();
-        // As many draws as the stay is long: from generators of their own.
-        let [mut of_leaks, mut of_changes] = [(); 2].map(|()| ChaCha8Rng::seed_from_u64(rng.random()));
-        leaks(&mut of_leaks, &mut bench, hours);
-        let mut changes = changes(&mut of_changes, settings, hours);
+        // As many draws as the stay is long.
+        let [mut of_leaks, mut of_changes, mut of_faults] = [(); 3].map(|()| apart(&mut rng));
+        leaks(&mut of_leaks, kind, &mut bench, hours);
+        let mut changes = operator::changes(&mut of_changes, kind, &bench, settings, hours);
         for change in &mut changes {
             change.settings = limited(&bench, change.settings);
         }
         let settings = limited(&bench, settings);
+        slow_fault::add(&mut of_faults, &mut bench);
         Self { number, bench, settings, changes, seed: noise, failure: None }
     }
 
@@ -92,52 +74,41 @@ impl Patient {
         starts.zip(ends).map(move |((from, settings), to)| (settings, (to.min(seconds) - from).max(0.0)))
     }
 
-    /// The same lung and machine with a passive patient, a tight circuit, and no secretions.
+    /// The same lung and machine with a passive patient, a tight circuit, and without anything that changes or fails.
     pub fn passive_bench(&self) -> BenchConfig {
         let mut bench = self.bench.clone();
         bench.circuit.leak_l_per_s_at_30_cmh2o = TIGHT;
         bench.circuit.leak_changes = Vec::new();
         bench.patient = BenchConfig::default().patient;
+        bench.faults = Vec::new();
         bench
+    }
+
+    /// Least volume of a passive breath in a stay of some seconds, mL: at any of the settings, on the lung and tube as they are in the end.
+    pub fn least_volume_ml(&self, seconds: f64) -> f64 {
+        let mut bench = self.passive_bench();
+        let lung = &mut bench.lung.first;
+        let growth = 0.01 * self.bench.patient.resistance_growth_percent_per_hour;
+        lung.resistance_cmh2o_per_l_s *= 1.0 + growth * seconds / 3600.0;
+        let mut narrowed = 1.0_f64;
+        for fault in self.bench.faults.iter().filter(|fault| fault.from_s < seconds) {
+            match fault.what {
+                Faulty::Lung { resistance, compliance } => {
+                    lung.resistance_cmh2o_per_l_s *= resistance;
+                    lung.compliance_ml_per_cmh2o *= compliance;
+                }
+                Faulty::Part(Failure::TubeNarrowed(factor)) => narrowed = factor,
+                _ => {}
+            }
+        }
+        lung.resistance_cmh2o_per_l_s *= narrowed;
+        let volumes = self.spans(seconds).map(|(settings, _)| passive_volume_ml(&bench, &settings));
+        volumes.fold(f64::INFINITY, f64::min)
     }
 
     /// Volume of a breath of the passive lung at these settings once breath follows breath evenly, mL.
     pub fn passive_volume_ml(&self, settings: &Settings) -> f64 {
         passive_volume_ml(&self.bench, settings)
-    }
-}
-
-fn uniform(rng: &mut ChaCha8Rng, (low, high): (f64, f64)) -> f64 {
-    rng.random_range(low..=high)
-}
-
-fn log_uniform(rng: &mut ChaCha8Rng, (low, high): (f64, f64)) -> f64 {
-    uniform(rng, (low.ln(), high.ln())).exp()
-}
-
-fn normal(rng: &mut ChaCha8Rng, sd: f64) -> f64 {
-    sd * rng.sample::<f64, _>(StandardNormal)
-}
-
-/// Valid settings.
-fn prescription(rng: &mut ChaCha8Rng) -> Settings {
-    let pressure_limit = rng.random_range(40.0_f32..=70.0);
-    let peep = rng.random_range(0.0_f32..=15.0);
-    let highest = HIGHEST_PIP.min(pressure_limit - LIMIT_MARGIN).min(peep + RISE.1);
-    let rate = rng.random_range(8.0_f32..=40.0);
-    let cycle = 60.0 / rate;
-    let fall_time = (cycle / 6.0).min(0.5);
-    let inspiratory_time = rng.random_range(0.2 * cycle..=0.5 * cycle).clamp(0.3, 3.0);
-    let rise_time = if rng.random() { 0.0 } else { rng.random_range(0.0_f32..=0.3).min(inspiratory_time) };
-    Settings {
-        pip: rng.random_range(peep + RISE.0..=highest),
-        peep,
-        rate,
-        inspiratory_time,
-        rise_time,
-        fall_time,
-        pressure_limit,
-        ..Settings::default()
     }
 }
 
@@ -151,90 +122,21 @@ fn limited(bench: &BenchConfig, settings: Settings) -> Settings {
     }
 }
 
-/// Settings that follow one another; each change concerns some of them.
-fn changes(rng: &mut ChaCha8Rng, first: Settings, hours: f64) -> Vec<SettingsChange> {
-    let (mut changes, mut settings, mut at_s) = (Vec::new(), first, 0.0);
-    loop {
-        at_s += uniform(rng, SETTINGS_LAST) * 60.0 / f64::from(settings.rate);
-        if at_s >= hours * 3600.0 {
-            return changes;
-        }
-        settings = changed(rng, settings);
-        changes.push(SettingsChange { at_s, settings });
-    }
-}
-
-fn changed(rng: &mut ChaCha8Rng, before: Settings) -> Settings {
-    let other = prescription(rng);
-    let Settings { pip, peep, pressure_limit, .. } = other;
-    match rng.random_range(0..3) {
-        0 => Settings { pip, peep, pressure_limit, ..before },
-        1 => Settings { pip: before.pip, peep: before.peep, pressure_limit: before.pressure_limit, ..other },
-        _ => other,
-    }
-}
-
-/// The machine's deviations and its sensors.
+/// The machine's deviations and its sensors, as far as the family does not draw them.
 fn machine(rng: &mut ChaCha8Rng, bench: &mut BenchConfig) {
     bench.unit.number = rng.random_range(1..100_000);
-    let [airway, outlet] = [(); 2].map(|()| {
-        let noise = uniform(rng, NOISE);
-        (noise, uniform(rng, (QUANTUM.0, QUANTUM.1.min(noise))))
-    });
-    (bench.sensor.noise_sd_cmh2o, bench.sensor.quantum_cmh2o) = airway;
-    (bench.outlet_sensor.noise_sd_cmh2o, bench.outlet_sensor.quantum_cmh2o) = outlet;
+    bench.outlet_sensor.noise_sd_cmh2o = uniform(rng, NOISE);
+    let noises = [bench.sensor.noise_sd_cmh2o, bench.outlet_sensor.noise_sd_cmh2o];
+    [bench.sensor.quantum_cmh2o, bench.outlet_sensor.quantum_cmh2o] =
+        noises.map(|noise| uniform(rng, (QUANTUM.0, QUANTUM.1.min(noise))));
     bench.outlet_sensor.offset_cmh2o = normal(rng, OUTLET_OFFSET);
     bench.flow_sensor.gain_error_percent = normal(rng, FLOW_GAIN);
-    let drift = uniform(rng, (-DRIFT, DRIFT));
-    match rng.random_range(0..20) {
-        0 => bench.unit.sensor_drift_cmh2o_per_hour = drift,
-        1 => bench.outlet_sensor.drift_cmh2o_per_hour = drift,
-        _ => {}
-    }
-}
-
-/// Efforts of half of the patients, coughs, secretions.
-fn breathing(rng: &mut ChaCha8Rng, bench: &mut BenchConfig, rate: f64) {
-    let patient = &mut bench.patient;
-    // All are always drawn, so that one patient's draws do not shift the next ones.
-    let breathes = rng.random_bool(0.5);
-    let effort = uniform(rng, (0.0, 20.0));
-    let effort_rate = if rng.random_range(0..3) == 0 {
-        rate * uniform(rng, (0.95, 1.05))
-    } else {
-        uniform(rng, (8.0, 35.0))
-    };
-    patient.effort_rate_per_min = effort_rate;
-    patient.effort_duration_s = uniform(rng, (0.5, 1.2)).min(0.6 * 60.0 / effort_rate);
-    patient.effort_variability_percent = uniform(rng, (0.0, 30.0));
-    patient.double_efforts_percent = uniform(rng, (0.0, 10.0));
-    patient.effort_cmh2o = if breathes { effort } else { 0.0 };
-    patient.cough_cmh2o = uniform(rng, (20.0, 60.0));
-    patient.coughs_per_hour = if rng.random() { uniform(rng, (0.0, 20.0)) } else { 0.0 };
-    // Without random coughs, `cough_cmh2o` would be a single one.
-    patient.cough_at_s = 1e6;
-    let growth = uniform(rng, (0.0, 20.0));
-    patient.resistance_growth_percent_per_hour = if rng.random_range(0..3) == 0 { growth } else { 0.0 };
-}
-
-/// The leak and its changes.
-fn leaks(rng: &mut ChaCha8Rng, bench: &mut BenchConfig, hours: f64) {
-    let circuit = &mut bench.circuit;
-    circuit.leak_l_per_s_at_30_cmh2o = leak(rng);
-    let mut at_s = uniform(rng, LEAK_LASTS);
-    while at_s < hours * 3600.0 {
-        circuit.leak_changes.push(LeakChange { at_s, leak_l_per_s_at_30_cmh2o: leak(rng) });
-        at_s += uniform(rng, LEAK_LASTS);
-    }
-}
-
-fn leak(rng: &mut ChaCha8Rng) -> f64 {
-    if rng.random() { TIGHT } else { uniform(rng, (0.0, LEAK)) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::endure::ramp::lasting;
 
     fn patients() -> impl Iterator<Item = Patient> {
         (0..300).map(|number| Patient::draw(1, number, 3.0))
@@ -246,9 +148,7 @@ mod tests {
             patient.bench.validate().unwrap();
             for (settings, _) in patient.spans(3.0 * 3600.0) {
                 assert_eq!(settings.validate(), Ok(()), "patient {}", patient.number);
-                assert!(settings.pip <= settings.pressure_limit - LIMIT_MARGIN);
-                assert!((0.0..=15.0).contains(&settings.peep) && (8.0..=40.0).contains(&settings.rate));
-                assert!(patient.passive_volume_ml(&settings) > 10.0);
+                assert!(patient.passive_volume_ml(&settings) >= 5.0);
             }
             let [airway, outlet] = [
                 (patient.bench.sensor.noise_sd_cmh2o, patient.bench.sensor.quantum_cmh2o),
@@ -256,6 +156,20 @@ mod tests {
             ];
             assert!(airway.1 <= airway.0 && outlet.1 <= outlet.0, "a silent sensor");
         }
+    }
+
+    #[test]
+    fn the_least_volume_is_that_of_the_narrowed_tube_and_the_stiffened_lung() {
+        let mut patient = Patient::draw(1, 0, 0.1);
+        (patient.bench, patient.changes) = (BenchConfig::paper(20.0, 20.0), Vec::new());
+        let sound = patient.least_volume_ml(3600.0);
+        assert!((sound - patient.passive_volume_ml(&patient.settings)).abs() < 1e-9);
+        patient.bench.faults = vec![
+            lasting(100.0, Faulty::Lung { resistance: 1.0, compliance: 0.5 }),
+            lasting(4000.0, Faulty::Part(Failure::TubeNarrowed(30.0))),
+        ];
+        let stiff = patient.least_volume_ml(3600.0);
+        assert!(stiff < 0.8 * sound && patient.least_volume_ml(5000.0) < 0.3 * stiff);
     }
 
     #[test]

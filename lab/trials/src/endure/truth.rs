@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use shared::sensor::Readings;
 use shared::settings::Settings;
 
+use super::flow_truth::FlowTruth;
 use super::patient::Patient;
 use super::sensor_truth::SensorTruth;
 use plant::bench::Truth;
@@ -26,6 +27,8 @@ pub struct BreathTruth {
     pub settings: Settings,
     /// Whether at least two breaths before it had the same settings.
     pub settled: bool,
+    /// Whether PEEP was lowered with it or with the breath before it.
+    pub peep_is_lower: bool,
     /// Highest true airway pressure, cmH2O.
     pub peak: f64,
     /// Lowest true airway pressure, cmH2O.
@@ -76,6 +79,8 @@ pub struct BreathTruth {
     pub airway: SensorTruth,
     /// The sensor at the machine's outlet.
     pub outlet: SensorTruth,
+    /// The flow sensor.
+    pub flow: FlowTruth,
     pub(super) sums: Sums,
 }
 
@@ -119,6 +124,7 @@ impl BreathTruth {
         Self {
             settings: *settings,
             settled,
+            peep_is_lower: false,
             peak: f64::NEG_INFINITY,
             lowest: f64::INFINITY,
             vented_above_ms: 0,
@@ -144,6 +150,7 @@ impl BreathTruth {
             starved_ms: 0,
             airway: SensorTruth::default(),
             outlet: SensorTruth::default(),
+            flow: FlowTruth::default(),
             sums: Sums::default(),
         }
     }
@@ -307,6 +314,8 @@ pub struct History {
     breaths: VecDeque<BreathTruth>,
     /// Breaths in a row with the present settings.
     unchanged: u32,
+    /// Breaths since PEEP was lowered.
+    since_lower_peep: u32,
     away_ms: u32,
     volumes: Volumes,
     usual: Usual,
@@ -333,6 +342,7 @@ impl History {
         Self {
             breaths: VecDeque::from([BreathTruth::new(&patient.settings, false)]),
             unchanged: 0,
+            since_lower_peep: u32::MAX,
             away_ms: 0,
             volumes: Volumes::default(),
             usual: Usual::default(),
@@ -352,6 +362,7 @@ impl History {
         Self {
             breaths,
             unchanged: 9,
+            since_lower_peep: u32::MAX,
             away_ms: 0,
             volumes,
             usual,
@@ -366,10 +377,14 @@ impl History {
     pub fn start_breath(&mut self, settings: &Settings) {
         self.end_breath();
         self.unchanged = if self.running().settings == *settings { self.unchanged + 1 } else { 0 };
+        let lowered = settings.peep < self.running().settings.peep;
+        self.since_lower_peep = if lowered { 0 } else { self.since_lower_peep.saturating_add(1) };
         if self.breaths.len() == KEPT {
             self.breaths.pop_front();
         }
-        self.breaths.push_back(BreathTruth::new(settings, self.unchanged >= 2));
+        let peep_is_lower = self.since_lower_peep < 2;
+        self.breaths
+            .push_back(BreathTruth { peep_is_lower, ..BreathTruth::new(settings, self.unchanged >= 2) });
     }
 
     /// Adds the running breath to the minute volumes and to the time without a breath.
@@ -395,6 +410,7 @@ impl History {
         let Some(running) = self.breaths.back_mut() else { return };
         running.airway.add(moment.readings.airway, lagged);
         running.outlet.add(moment.readings.outlet, outlet);
+        running.flow.add(moment.readings.flow, truth.flow_lung + truth.flow_leak);
         running.away_ms = away_ms;
         running.add(moment);
     }

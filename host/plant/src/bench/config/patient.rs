@@ -79,6 +79,10 @@ pub struct PatientConfig {
     pub effort_variability_percent: f64,
     /// Share of the efforts that a second effort follows at once, percent.
     pub double_efforts_percent: f64,
+    /// Share of their strength that the efforts lose and regain again and again, percent.
+    pub effort_wanes_percent: f64,
+    /// Time in which they do once, s.
+    pub effort_wanes_every_s: f64,
     /// Peak expulsive pressure of a cough, a half sine, cmH2O; 0 for none.
     pub cough_cmh2o: f64,
     /// Beginning of the only cough, s; without effect if `coughs_per_hour` is not 0.
@@ -106,6 +110,8 @@ impl Default for PatientConfig {
             effort_duration_s: 0.8,
             effort_variability_percent: 0.0,
             double_efforts_percent: 0.0,
+            effort_wanes_percent: 0.0,
+            effort_wanes_every_s: 60.0,
             cough_cmh2o: 0.0,
             cough_at_s: 10.0,
             cough_duration_s: 0.3,
@@ -127,6 +133,8 @@ impl PatientConfig {
         check("effort_duration_s", self.effort_duration_s, 0.05..=period_s)?;
         check("effort_variability_percent", self.effort_variability_percent, 0.0..=100.0)?;
         check("double_efforts_percent", self.double_efforts_percent, 0.0..=100.0)?;
+        check("effort_wanes_percent", self.effort_wanes_percent, 0.0..=100.0)?;
+        check("effort_wanes_every_s", self.effort_wanes_every_s, 1.0..=1e6)?;
         check("cough_cmh2o", self.cough_cmh2o, 0.0..=150.0)?;
         check("cough_at_s", self.cough_at_s, 0.0..=1e6)?;
         check("cough_duration_s", self.cough_duration_s, 0.02..=5.0)?;
