@@ -223,6 +223,8 @@ pub struct BreathInput<'a> {
     pub inspired: Option<f32>,
     /// Volume that has come back from the patient so far, mL.
     pub returned: f32,
+    /// Whether the inspiration refills a lung that has given out more than its breaths, as in a strain.
+    pub refills: bool,
     /// Whether a part of it is lost through a leak.
     pub leaks: bool,
     /// Smoothed flow to the patient, L/s, without which no tube is open; none without a sound flow sensor.
@@ -406,7 +408,7 @@ impl BreathMonitor {
         // An inspiration begins at the PEEP of the breath before.
         let began = if state.settling.is_new() { state.peep_before } else { settings.peep };
         let rise = rise - (began - settings.peep).max(0.0);
-        if rise <= TELLING_RISE {
+        if rise <= TELLING_RISE || end.refills {
             return false;
         }
         let compliance = Compliance { value: volume / rise, time: exchange_time_of(settings) };

@@ -86,6 +86,11 @@ impl Pressures {
         let filled = filling_time(inspiratory_time, rise_time) * rate / 60.0;
         Self { peep, mean: peep + (pip - peep) * filled }
     }
+
+    /// The higher one of their PEEP and this one, cmH2O: a lung may still empty to it.
+    pub fn highest_peep(&self, peep: f32) -> f32 {
+        self.peep.max(peep)
+    }
 }
 
 /// A monitor's wait after changes that concern it.

@@ -80,7 +80,8 @@ pub fn judge(fault: Fault, history: &History) -> Verdict {
 fn deserved(fault: Fault, history: &History) -> bool {
     match fault {
         Fault::ReadingNotANumber => sensors(history, |sensor| sensor.missing >= MISSING),
-        Fault::ReadingOutOfRange | Fault::ReadingJumps => sensors(history, jumped),
+        Fault::ReadingOutOfRange => sensors(history, |sensor| sensor.beyond),
+        Fault::ReadingJumps => sensors(history, jumped),
         Fault::ReadingFrozen => sensors(history, frozen),
         Fault::ReadingNoisy => sensors(history, noisy),
         Fault::HighPressure | Fault::CommandCapped => any(history, high_pressure),
@@ -170,6 +171,7 @@ fn noisy(sensor: &SensorTruth) -> bool {
 /// Whether a reading is wrong in any way that takes the sensor out of use.
 fn unsound(sensor: &SensorTruth) -> bool {
     sensor.missing >= MISSING
+        || sensor.beyond
         || jumped(sensor)
         || frozen(sensor)
         || sensor.offset().abs() >= SENSORS_APART - TOLERANCE / 2.0

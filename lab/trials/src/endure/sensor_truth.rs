@@ -1,5 +1,7 @@
 //! What the bench knows of a pressure sensor in a breath.
 
+use shared::safety::reading_monitor::SENSOR_RANGE;
+
 /// Movement of the true pressure during identical readings that makes them frozen, cmH2O.
 const MOVED: f64 = 1.0;
 
@@ -10,6 +12,8 @@ pub struct SensorTruth {
     pub missing: u32,
     /// Largest error, cmH2O.
     pub worst: f64,
+    /// Whether a reading was outside the range of a pressure sensor.
+    pub beyond: bool,
     /// Longest run of the same reading while the pressure moved, ms.
     pub frozen_ms: u32,
     count: u32,
@@ -37,6 +41,7 @@ impl SensorTruth {
         } else {
             (self.last, self.same, self.range) = (reading, 0, (pressure, pressure));
         }
+        self.beyond |= !(SENSOR_RANGE.0..=SENSOR_RANGE.1).contains(&reading);
         let error = f64::from(reading) - pressure;
         self.worst = self.worst.max(error.abs());
         self.count += 1;

@@ -64,6 +64,7 @@ impl Seen {
             reached: None,
             inspired: None,
             returned: 0.0,
+            refills: false,
             leaks: false,
             flow: None,
             doubtful: false,
@@ -296,6 +297,17 @@ fn a_tube_that_takes_no_volume_is_found_in_its_second_breath() {
     let filled = |volume| Seen { volume, ..GOOD };
     assert_eq!(complaint(&[filled(480.0), filled(160.0), filled(160.0)]), None);
     assert_eq!(complaint(&[filled(480.0), filled(159.0), filled(159.0)]), Some((2, Fault::Occlusion)));
+}
+
+#[test]
+fn an_inspiration_that_refills_the_lung_is_no_measure_of_the_others() {
+    let refilled = Seen { volume: 1300.0, ..GOOD };
+    let found = |refills: bool| {
+        complaint_with(&[refilled, GOOD, GOOD], |input| input.refills = refills && input.volume > 1000.0)
+    };
+    assert_eq!((found(false), found(true)), (Some((2, Fault::Occlusion)), None));
+    let occluded = Seen { volume: 40.0, ..GOOD };
+    assert_eq!(complaint_with(&[GOOD, occluded, occluded], |input| input.refills = true), None);
 }
 
 #[test]

@@ -102,7 +102,7 @@ impl Supervisor {
         }
         let settings = breath.settings();
         let (rise, whole) = (pressure - settings.peep, settings.pip - settings.peep);
-        let has_room = !state.leaves_no_room(breath);
+        let has_room = !state.leaves_no_room(breath, settings.peep);
         if let Some(responses) = &mut state.unresponsive {
             debug_assert!(*responses < RESPONSES, "so many end backup ventilation");
             // From where it was: a reading that stands still above PEEP has not responded.
@@ -178,6 +178,7 @@ impl Supervisor {
     /// Judges what became of the last breath's gas, and whether the pressure has answered to it.
     pub(super) fn judge_gas(&self, state: &mut SupervisorState, readings: &Readings, breath: &Breath) {
         let peep = breath.settings().peep;
+        let peep = state.pressures_before.map_or(peep, |before| before.highest_peep(peep));
         let balance = state.volumes.balance().filter(|_| !state.flow.hides_gas());
         let Some(balance) = balance else {
             (state.gas, state.lies) = (Gas::Unseen, false);
@@ -196,7 +197,8 @@ impl Supervisor {
         }
         let Some(elastance) = state.backup.elastance() else { return };
         let at_rest = state.lies || (state.expiration.has_emptied() && !state.volumes.ended_with_outflow());
-        state.lies = at_rest && state.leaves_no_room(breath) && state.standing.lacks_gas(peep, elastance);
+        state.lies =
+            at_rest && state.leaves_no_room(breath, peep) && state.standing.lacks_gas(peep, elastance);
         // Of a breath that the limit has ended, the gas comes out earlier.
         let judged = state.cuts == 0 && state.level() != Level::Backup && !state.breath.is_disconnected();
         let stands = baselines == IN_A_ROW && state.standing.denies_balance(peep, elastance);

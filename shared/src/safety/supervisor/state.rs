@@ -88,11 +88,11 @@ impl SupervisorState {
         self.standing.stands_above(peep) && self.backup.elastance().is_some_and(rise)
     }
 
-    /// Whether the last expiration has left less than [`ROOM`] for a breath.
-    pub(super) fn leaves_no_room(&self, breath: &Breath) -> bool {
-        let Settings { pip, peep, .. } = *breath.settings();
-        let target = pip + self.expiration.shift(breath);
-        target - self.standing.start() < ROOM * (pip - peep)
+    /// Whether the last expiration has left less than [`ROOM`] for a breath, in a lung that was at this PEEP, cmH2O.
+    pub(super) fn leaves_no_room(&self, breath: &Breath, was_at: f32) -> bool {
+        let rise = breath.settings().pip - breath.settings().peep;
+        let highest = was_at + (1.0 - ROOM) * rise + self.expiration.shift(breath);
+        self.standing.start() > highest
     }
 
     /// Volume that has reached the patient so far in the breath, mL; none if the flow is not measured.
