@@ -28,6 +28,10 @@ const FOLLOWS: f32 = 5.0;
 pub const APART: f32 = 0.02;
 /// Expirations in a row with such a difference after which the worse sensor is not used.
 pub const DOUBTFUL_BREATHS: u32 = 2;
+/// Highest resistance of the expiratory valve, cmH2O/(L/s).
+const EXPIRATORY: f32 = 7.0;
+/// Distance from PEEP with which a sensor of two that are apart is wrong, cmH2O.
+const OFF: f32 = 0.5 * DOUBTFUL;
 /// Expirations in a row that must speak for a sensor which lost before.
 pub const CONTRARY_BREATHS: u32 = 3;
 /// Difference at the end of an expiration up to which they agree again, cmH2O.
@@ -320,7 +324,10 @@ impl PressureSource {
         // While the pressure falls, much gas flows between the sensors.
         let near_end = moment.left() <= window;
         let both = both && (near_end || moment.phase == Phase::Expiration);
-        let distances = || [(airway - outlet).abs(), (airway - peep).abs(), (outlet - peep).abs()];
+        // Gas that flows out of the lung raises the pressure above PEEP.
+        let above = if readings.flow < 0.0 { -EXPIRATORY * readings.flow } else { 0.0 };
+        let from_peep = |pressure: f32| (pressure - peep - above).max(0.0).max(peep - pressure);
+        let distances = || [(airway - outlet).abs(), from_peep(airway), from_peep(outlet)];
         state.rest.add(moment, window, both.then(distances));
     }
 
@@ -350,6 +357,17 @@ impl PressureSource {
         state.airway.doubted || state.outlet.doubted
     }
 
+    /// The gas denies what the sensor in use reads: it is not used, if the other one reads something else, even if
+    /// that has lost a comparison. Returns whether it does.
+    pub fn deny(&self, state: &mut SourceState, readings: &Readings) -> bool {
+        let differ = (readings.airway - readings.outlet).abs() > DOUBTFUL;
+        let denies = differ && !state.is_one_lost() && self.enabled.has(Fault::SensorsDisagree);
+        if denies {
+            state.doubt(!state.uses_outlet, state.uses_outlet);
+        }
+        denies
+    }
+
     /// Compares the sensors at the end of an expiration at this flow of the valve, L/s; true if one of them is wrong. `triggered`: an
     /// effort ends it early.
     pub fn compare(&self, state: &mut SourceState, flow: f32, triggered: bool) -> bool {
@@ -357,7 +375,9 @@ impl PressureSource {
         let Some([apart, airway, outlet]) = means.filter(|_| !state.is_one_lost()) else {
             return false;
         };
-        let apart_at_rest = apart > DOUBTFUL + TUBE * flow;
+        // While the lung empties, neither may be off.
+        let tells = airway.max(outlet) >= OFF;
+        let apart_at_rest = apart > DOUBTFUL + TUBE * flow && tells;
         state.doubtful = in_a_row(state.doubtful, apart_at_rest);
         state.agreed = in_a_row(state.agreed, apart <= AGREE && state.plateau.agreed());
         if state.agreed >= AGREED_BREATHS {

@@ -47,8 +47,11 @@ impl Run {
     }
 
     fn record(&mut self, tick: u32, airway: f32, outlet: f32) {
+        self.record_with(tick, Readings { airway, outlet, flow: 0.0 });
+    }
+
+    fn record_with(&mut self, tick: u32, readings: Readings) {
         let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
-        let readings = Readings { airway, outlet, flow: 0.0 };
         self.source.record(&mut self.state, &breath.at(tick), 50, &readings, 0.0);
     }
 
@@ -183,6 +186,40 @@ fn the_other_sensor_is_told_until_one_is_lost() {
     let other = [14.0, 16.0].map(|outlet| run.tick(PEEP, outlet).other.map(f32::round));
     assert_eq!(other, [Some(14.0), Some(16.0)]);
     assert_eq!(run.ticks(30, f32::NAN, PEEP).other, None);
+}
+
+#[test]
+fn while_gas_flows_out_a_pressure_above_peep_is_no_sign_of_a_wrong_sensor() {
+    let doubted = |airway: f32, outlet: f32, flow: f32| {
+        let mut run = Run::new();
+        for _ in 0..2 {
+            (2900..3000).for_each(|tick| {
+                run.tick(airway, outlet);
+                run.record_with(tick, Readings { airway, outlet, flow });
+            });
+            run.source.compare(&mut run.state, 0.0, false);
+        }
+        (run.state.airway.doubted, run.state.outlet.doubted)
+    };
+    assert_eq!(doubted(9.0, 2.0, 0.0), (true, false), "at rest");
+    assert_eq!(doubted(9.0, 2.0, -0.6), (false, true), "4 cmH2O at 0.6 L/s");
+    assert_eq!(doubted(9.0, 5.5, -0.1), (true, false), "a sensor that lags");
+    assert_eq!(doubted(9.0, 5.5, -0.6), (false, false), "either may be right");
+}
+
+#[test]
+fn a_sensor_that_the_gas_denies_gives_way_to_the_other_one() {
+    let denies = |airway: f32, outlet: f32| {
+        let mut run = Run::new();
+        run.ticks(100, airway, outlet);
+        let readings = Readings { airway, outlet, flow: 0.0 };
+        let first = run.source.deny(&mut run.state, &readings);
+        let uses = run.ticks(1, airway, outlet).reading.pressure().map(f32::round);
+        (first, uses)
+    };
+    assert_eq!(denies(14.0, 5.0), (true, Some(5.0)));
+    assert_eq!(denies(5.0, 5.5), (false, Some(5.0)), "they read the same");
+    assert_eq!(denies(9.0, f32::NAN), (false, Some(9.0)), "there is no other");
 }
 
 #[test]

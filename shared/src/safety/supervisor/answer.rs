@@ -62,9 +62,11 @@ impl Supervisor {
         }
     }
 
-    /// The believed pressure does not respond to the gas: uses the other sensor, if they differ, or backup ventilation.
+    /// The gas denies the believed pressure: uses the other sensor, if they differ, or backup ventilation.
     pub(super) fn disbelieve(&self, state: &mut SupervisorState, readings: &Readings) {
-        if !self.other_responds(state, readings) {
+        if self.source.deny(&mut state.source, readings) {
+            self.report(state, Fault::SensorsDisagree);
+        } else {
             self.lose_response(state);
         }
     }

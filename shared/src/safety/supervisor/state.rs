@@ -7,7 +7,6 @@ use crate::safety::indications::Indications;
 use crate::safety::ladder::Level;
 use crate::safety::lung_estimator::TELLING_RISE;
 use crate::safety::source::Reading;
-use crate::settings::Settings;
 
 /// Share of the rise from PEEP to PIP that a baseline must leave for a breath: the gas in the lung must explain a higher one.
 pub const ROOM: f32 = 0.5;
