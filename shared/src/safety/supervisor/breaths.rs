@@ -63,7 +63,8 @@ impl Supervisor {
             self.end_doubt(state);
         }
         let expired = state.volumes.expired_share();
-        let swings = state.standing.swings();
+        // PIP follows no baseline that the gas denies.
+        let swings = state.standing.swings() && !state.lies;
         self.expiration.start_breath(&mut state.expiration, expired, swings);
     }
 
@@ -196,9 +197,10 @@ impl Supervisor {
             self.report(state, Fault::SustainedPressure);
         }
         let Some(elastance) = state.backup.elastance() else { return };
-        let at_rest = state.lies || (state.expiration.has_emptied() && !state.volumes.ended_with_outflow());
-        state.lies =
-            at_rest && state.leaves_no_room(breath, peep) && state.standing.lacks_gas(peep, elastance);
+        let at_rest = state.expiration.has_emptied() && !state.volumes.ended_with_outflow();
+        // Small errors add up in a balance over many breaths.
+        let denied = if state.lies { !fills } else { at_rest && state.standing.lacks_gas(peep, elastance) };
+        state.lies = denied && state.leaves_no_room(breath, peep);
         // Of a breath that the limit has ended, the gas comes out earlier.
         let judged = state.cuts == 0 && state.level() != Level::Backup && !state.breath.is_disconnected();
         let stands = baselines == IN_A_ROW && state.standing.denies_balance(peep, elastance);
