@@ -38,10 +38,11 @@ export async function launch(args = []) {
 
 /**
  * Opens a page. Errors of its scripts and its policy are collected in `page.errors`, requests to another origin in `page.outside`, and
- * the response with the document is `page.response`.
+ * the response with the document is `page.response`. With `held`, the page has the clock of `holdClock`.
  */
-export async function open(browser, url, options = {}) {
+export async function open(browser, url, { held = false, ...options } = {}) {
   const context = await browser.newContext({ ...SCREENS["1280x800"], ...options });
+  if (held) await context.addInitScript(holdClock);
   const page = await context.newPage();
   page.setDefaultTimeout(LONG);
   page.errors = [];
@@ -87,44 +88,64 @@ export const painted = (page, strip) => page.evaluate((name) => {
 }, strip);
 
 /**
- * Counts, from now on, how often the page finds a device silent. An overloaded machine holds up even the states of a fake device; the page
- * then rightly raises "No data", which ends a pause of the sound.
+ * Makes a page's clock advance with the states of its first device: by the time since the last one, but by at most 50 ms. By the
+ * machine's clock the page rightly raises "No data" when an overloaded machine holds up the states of a fake device; this alarm flashes,
+ * ends a pause of the sound and hides what else the page tells. For the same reason the page never gives up a request.
+ * `window.pass` lets some ms pass without a state.
  */
-export const countSilences = (page) => page.evaluate(() => {
-  window.silences = 0;
-  for (const device of window.eupnea.devices) {
-    let since = device.silentSince;
-    const set = (value) => {
-      if (value !== null && since === null) window.silences += 1;
-      since = value;
-    };
-    Object.defineProperty(device, "silentSince", { get: () => since, set });
-  }
-});
+function holdClock() {
+  const [real, wait] = [performance.now.bind(performance), setTimeout.bind(window)];
+  let [time, since] = [real(), real()];
+  performance.now = () => time + Math.min(real() - since, 50);
+  window.pass = (ms) => { [time, since] = [performance.now() + ms, real()]; };
+  window.setTimeout = (run, ms, ...rest) => wait(run, ms > 1000 ? 2 ** 31 - 1 : ms, ...rest);
+  window.WebSocket = class extends WebSocket {
+    constructor(...described) {
+      super(...described);
+      this.addEventListener("message", ({ data }) => {
+        const { type, device } = typeof data === "string" ? JSON.parse(data) : {};
+        if (type === "state" && device === 0) window.pass(0);
+      });
+    }
+  };
+}
 
-export const silences = (page) => page.evaluate(() => window.silences);
+/** Lets a time pass in a page with a held clock, ms, and waits until the page has looked for silence since. */
+export async function pass(page, ms) {
+  await page.evaluate((time) => window.pass(time), ms);
+  await until(page, () => window.eupnea.socket.kept === performance.now());
+}
+
+/** Waits until the page has updated its texts and its sound from what it knows now. */
+export const updated = async (page) => until(page, (known) => window.eupnea.updated > known, await page.evaluate(() => window.eupnea.updated));
 
 /** Waits until a picture of the page has been drawn from what it knows now. */
 export const drawn = (page) => page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
 
 /**
- * Flashes of the banner in a second, by the times of the browser's own pictures: `count` of them, from one change to bright or dark to
- * a later one of the same kind. If two pictures are so far apart that a change between them could be missed, the measurement begins
- * again. `most` is the highest rate of the band, 1/s.
+ * Flashes of the banner in a second of its animation: `count` of them, from one change to bright or dark to a later one of the same kind;
+ * 0 if it does not run or starts again meanwhile. Each picture of the browser takes the animation 20 ms further: a slow machine, whose
+ * pictures are far apart, misses no change either.
  */
-export const flashes = (page, count, most) => page.evaluate(([wanted, gap]) => new Promise((resolve) => {
+export const flashes = (page, count) => page.evaluate(async (wanted) => {
   const banner = document.querySelector("#banner");
-  let [changes, known, last] = [[], null, null];
-  const look = (now) => {
+  const [animation] = banner.getAnimations();
+  if (animation?.playState !== "running" || animation.playbackRate !== 1) return 0;
+  await animation.ready;
+  animation.pause();
+  const changes = [];
+  let known = null;
+  for (let pictures = 0; changes.length <= 2 * wanted && pictures < 1000; pictures++) {
+    await new Promise(requestAnimationFrame);
+    if (banner.getAnimations()[0] !== animation) return 0;
+    animation.currentTime += 20;
     const colour = getComputedStyle(banner).backgroundColor;
-    if (last === null || now - last > gap) changes = [];
-    else if (colour !== known) changes.push(now);
-    [known, last] = [colour, now];
-    if (changes.length > 2 * wanted) resolve((1000 * wanted) / (changes[2 * wanted] - changes[0]));
-    else requestAnimationFrame(look);
-  };
-  requestAnimationFrame(look);
-}), [count, 500 / most]);
+    if (known !== null && colour !== known) changes.push(animation.currentTime);
+    known = colour;
+  }
+  animation.play();
+  return changes.length > 2 * wanted ? (1000 * wanted) / (changes[2 * wanted] - changes[0]) : 0;
+}, count);
 
 /** Longest time between two looks of the page in a measurement of its own times, ms: twice what it means to take. */
 const LATE = 80;

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { Fake } from "../dev/fake.mjs";
-import { countSilences, drawn, eventually, flashes, known, launch, missing, open, painted, says, silence, silences, steady, until, WHOLE } from "./browser.mjs";
+import { drawn, eventually, flashes, known, launch, missing, open, painted, pass, says, silence, steady, until, updated, WHOLE } from "./browser.mjs";
 
 let browser;
 before(async () => { if (!missing) browser = await launch(); });
@@ -27,6 +27,8 @@ function scene(name, options, run) {
   });
 }
 
+/** Options of a scene that must not see a silence which the machine makes. */
+const HELD = { page: { held: true } };
 const text = (page, selector) => page.locator(selector).first().textContent();
 const newest = (page) => page.evaluate(() => window.eupnea.devices[0].ring.newest);
 
@@ -77,7 +79,7 @@ scene("a spike of a single sample is drawn", {}, async (page, fake) => {
   await until(page, spike);
 });
 
-scene("alarms show priority by colour, mark and text, and flash within their bands, whatever motion is preferred", {}, async (page, fake) => {
+scene("alarms show priority by colour, mark and text, and flash within their bands, whatever motion is preferred", HELD, async (page, fake) => {
   const shows = (priority) => until(page, (wanted) => document.querySelector("#banner").dataset.priority === wanted, priority);
   await says(page, "#banner .banner-text", "No alarms");
   fake.alarm(0, "leak", "low", "Leak");
@@ -85,13 +87,13 @@ scene("alarms show priority by colour, mark and text, and flash within their ban
   assert.ok(await steady(page), "low does not flash");
   fake.alarm(0, "rate", "medium", "Rate high");
   await shows("medium");
-  const medium = await flashes(page, 2, 0.8);
+  const medium = await flashes(page, 2);
   assert.ok(medium >= 0.4 && medium <= 0.8, `${medium} Hz`);
   fake.alarm(0, "pressure", "high", "Pressure high");
   await shows("high");
   for (const reducedMotion of ["no-preference", "reduce"]) {
     await page.emulateMedia({ reducedMotion });
-    const high = await flashes(page, 4, 2.8);
+    const high = await flashes(page, 4);
     assert.ok(high >= 1.4 && high <= 2.8, `${high} Hz`);
   }
   assert.equal(await text(page, "#banner .mark"), "!!!");
@@ -100,7 +102,7 @@ scene("alarms show priority by colour, mark and text, and flash within their ban
   assert.equal(await text(page, "[role=alert]"), "high priority alarm: Pressure high");
 });
 
-scene("the list of alarms is latched, has times, and is acknowledged by who steers", { steer: true }, async (page, fake) => {
+scene("the list of alarms is latched, has times, and is acknowledged by who steers", { ...HELD, steer: true }, async (page, fake) => {
   fake.alarm(0, "rate", "medium", "Rate high");
   fake.alarm(0, "pressure", "high", "Pressure high");
   await page.getByRole("tab", { name: "Alarms" }).click();
@@ -111,7 +113,7 @@ scene("the list of alarms is latched, has times, and is acknowledged by who stee
   await says(page, "#banner .banner-text", "Pressure high (gone)");
   // A present alarm is not hidden.
   await says(page, "#banner .behind", "Present: !! Rate high");
-  const latched = await flashes(page, 4, 2.8);
+  const latched = await flashes(page, 4);
   assert.ok(latched >= 1.4 && latched <= 2.8, `a latched alarm flashes: ${latched} Hz`);
   await page.getByRole("tab", { name: "Settings" }).click();
   await page.getByRole("button", { name: "Take control" }).click();
@@ -122,50 +124,48 @@ scene("the list of alarms is latched, has times, and is acknowledged by who stee
   // The alarm whose condition was gone is removed; the present one is marked, and flashes until its condition is gone, too.
   await says(page, "#banner .banner-text", "Rate high (acknowledged)");
   assert.equal(await text(page, "[role=alert]"), "medium priority alarm: Rate high, acknowledged");
-  const known = await flashes(page, 2, 0.8);
+  const known = await flashes(page, 2);
   assert.ok(known >= 0.4 && known <= 0.8, `an acknowledged alarm flashes while it is present: ${known} Hz`);
   fake.devices[0].alarms[0].present = false;
   await says(page, "#banner .banner-text", "No alarms");
 });
 
-scene("tones sound, and pause for at most 120 s", {}, async (page, fake) => {
+scene("tones sound, and pause for at most 120 s", HELD, async (page, fake) => {
   fake.alarm(0, "pressure", "high", "Pressure high");
   await page.keyboard.press("Shift");
   await until(page, () => Number(document.querySelector(".audio").dataset.bursts) > 0);
-  await countSilences(page);
   await page.getByRole("button", { name: "Pause 120 s" }).click();
   await says(page, ".audio-state", /Paused, 1[12]\d s left/);
   // A page that only reads pauses its own sound, never that of the device.
   assert.equal(fake.received.filter(({ type }) => type === "pause_audio").length, 0);
   const bursts = await sounded(page);
-  // Without the pause the next burst would come 7.5 s after the last one.
-  await until(page, () => !(Number(/Paused, (\d+) s left/.exec(document.querySelector(".audio-state").textContent)?.[1]) >= 112));
+  // Without the pause the next burst would come 7.5 s after the last one: by the clock of the sound, which is not that of the page.
+  const sound = () => page.evaluate(() => window.eupnea.audio.sound.context.currentTime);
+  const begin = await sound();
+  const left = async () => Number(/Paused, (\d+) s left/.exec(await text(page, ".audio-state"))?.[1]);
+  // Each update needs another state, so that the page does not find the device silent.
+  for (; (await left()) >= 112; await updated(page)) await pass(page, 500);
+  await eventually(async () => (await sound()) > begin + 8, "the next burst would be due");
+  await updated(page);
   await stillPaused(page, "it lasts longer than the time between two bursts");
-  if (await silences(page) === 0) {
-    assert.equal(await sounded(page), bursts);
-    await page.getByRole("button", { name: "End pause" }).click();
-  }
+  assert.equal(await sounded(page), bursts);
+  await page.getByRole("button", { name: "End pause" }).click();
   await until(page, (known) => Number(document.querySelector(".audio").dataset.bursts) > known, bursts);
 });
 
 const sounded = (page) => page.evaluate(() => Number(document.querySelector(".audio").dataset.bursts));
-/** Fails if the pause has ended, unless the page has raised an alarm of its own meanwhile. Call `countSilences` before the pause. */
-const stillPaused = async (page, why) => {
-  const paused = await page.locator(".audio").getAttribute("data-paused");
-  assert.ok(paused === "true" || (await silences(page)) > 0, why);
-};
+const stillPaused = async (page, why) => assert.equal(await page.locator(".audio").getAttribute("data-paused"), "true", why);
 const pauses = (page, on) => until(page, (wanted) => document.querySelector(".audio").dataset.paused === String(wanted), on);
 
-scene("a pause on the wall holds for all devices, until a new high alarm of any of them", { demo: true }, async (page, fake) => {
+scene("a pause on the wall holds for all devices, until a new high alarm of any of them", { ...HELD, demo: true }, async (page, fake) => {
   await page.keyboard.press("Shift");
   fake.alarm(1, "rate", "medium", "Rate high");
   fake.alarm(2, "high-pressure", "high", "Pressure high");
   // Both alarms are known before the pause: the second one would end it.
   await until(page, () => document.querySelectorAll('.card .banner:not([data-priority="none"])').length === 2);
   await until(page, () => Number(document.querySelector(".audio").dataset.bursts) > 0);
-  await countSilences(page);
   await page.keyboard.press("p");
-  await until(page, () => document.querySelector(".audio").dataset.paused === "true" || window.silences > 0);
+  await pauses(page, true);
   fake.alarm(3, "leak", "medium", "Leak");
   await until(page, () => document.querySelectorAll('.card .banner:not([data-priority="none"])').length === 3);
   await drawn(page);
@@ -180,7 +180,7 @@ scene("a pause on the wall holds for all devices, until a new high alarm of any 
   await until(page, (known) => Number(document.querySelector(".audio").dataset.bursts) > known, bursts);
 });
 
-scene("a page that steers pauses the device's sounder, and tells a refusal", { steer: true }, async (page, fake) => {
+scene("a page that steers pauses the device's sounder, and tells a refusal", { ...HELD, steer: true }, async (page, fake) => {
   fake.alarm(0, "high-pressure", "high", "Pressure high");
   await page.getByRole("tab", { name: "Settings" }).click();
   await page.getByRole("button", { name: "Take control" }).click();
@@ -190,8 +190,9 @@ scene("a page that steers pauses the device's sounder, and tells a refusal", { s
   await says(page, ".audio-state", "Pause refused: no sounder");
   await page.getByRole("button", { name: "End pause" }).click();
   fake.devices[0].pausing = true;
-  await page.getByRole("button", { name: "Pause 120 s" }).click();
-  await until(page, () => window.eupnea.devices[0].state.audio.pause_left > 100);
+  // The page is watched from before the click on, because the rest of the pause runs down on the machine's clock.
+  const paused = until(page, () => window.eupnea.devices[0].state.audio.pause_left > 100);
+  await Promise.all([paused, page.getByRole("button", { name: "Pause 120 s" }).click()]);
   assert.deepEqual(fake.received.filter(({ type }) => type === "pause_audio").map(({ seconds }) => seconds), [120, 0, 120]);
 });
 
@@ -397,7 +398,7 @@ scene("everything is reached by Tab, forwards and backwards", { steer: true, dem
   await reach(page, "Wall", "Shift+Tab");
 });
 
-scene("start and stop ask for a confirmation", { steer: true }, async (page, fake) => {
+scene("start and stop ask for a confirmation", { ...HELD, steer: true }, async (page, fake) => {
   await page.getByRole("tab", { name: "Settings" }).click();
   await page.getByRole("button", { name: "Take control" }).click();
   await page.getByRole("button", { name: "Stop ventilation" }).click();
@@ -452,13 +453,17 @@ scene("a missing stream is told within a second", {}, async (page, fake) => {
   await until(page, () => document.querySelector(".shade").hidden);
 });
 
-scene("a half-open connection is given up and opened again, although the browser does not notice", {}, async (page, fake) => {
+scene("a half-open connection is given up and opened again, although the browser does not notice", HELD, async (page, fake) => {
   await until(page, () => window.eupnea.devices[0].ring.end > 500);
   let connections = 0;
   fake.sockets.on("connection", () => { connections += 1; });
   fake.unplug();
+  await pass(page, 1000);
   await until(page, () => document.querySelector(".connection").textContent === "No data" && document.querySelector(".connection").dataset.ok === "false");
   assert.equal(connections, 0, "a short silence opens nothing");
+  await page.evaluate(() => { window.dead = window.eupnea.socket.socket; });
+  const waits = () => page.evaluate(() => [null, window.dead].includes(window.eupnea.socket.socket));
+  for (let passed = 1000; passed < 10_000 && (await waits()); passed += 500) await pass(page, 500);
   await until(page, () => document.querySelector(".connection").textContent === "Connected" && document.querySelector(".shade").hidden);
   assert.equal(connections, 1);
   const tick = await newest(page);
@@ -473,8 +478,9 @@ scene("a page without timers and pictures of its own, as a hidden one, tells it 
   await page.reload();
   await until(page, () => window.eupnea?.devices[0]?.ring.end > 500);
   fake.stalled = true;
-  await until(page, () => document.querySelector("#banner").dataset.priority === "high");
-  assert.equal(await text(page, "#banner .banner-text"), "No data from the server");
+  // Samples can be found missing a moment before the states.
+  await says(page, "#banner .banner-text", "No data from the server");
+  assert.equal(await page.locator("#banner").getAttribute("data-priority"), "high");
 });
 
 scene("samples that are missing are told, although states arrive", {}, async (page, fake) => {
@@ -506,7 +512,7 @@ scene("a device that is lost is told, with the reason", {}, async (page, fake) =
   await says(page, "#banner .banner-text", /the port is gone/);
 });
 
-scene("on the wall, a device that is lost or silent looks it, and figures of before a stop look old", { demo: true, steer: true }, async (page, fake) => {
+scene("on the wall, a device that is lost or silent looks it, and figures of before a stop look old", { ...HELD, demo: true, steer: true }, async (page, fake) => {
   const card = (name) => page.locator(".card").filter({ has: page.getByText(name, { exact: true }) });
   const has = async (name, look) => (await card(name).getAttribute("class")).split(" ").includes(look);
   await until(page, () => window.eupnea.devices.every(({ breath }) => breath !== null));
@@ -542,7 +548,7 @@ scene("the page finds the server again after its death, and keeps what it had", 
   assert.ok(await page.evaluate(() => window.eupnea.devices[0].trends.newest > 0));
 });
 
-scene("a card that is pressed stays under the pointer while an alarm moves another one to the front", { demo: true }, async (page, fake) => {
+scene("a card that is pressed stays under the pointer while an alarm moves another one to the front", { ...HELD, demo: true }, async (page, fake) => {
   const names = () => page.evaluate(() => [...document.querySelectorAll(".card")].map((card) => card.ariaLabel));
   await page.locator(".wall").waitFor();
   const [first] = await names();
