@@ -15,7 +15,7 @@ mod breaths;
 mod state;
 
 pub use breaths::FILLS;
-pub use state::ROOM;
+pub use state::{LEAST_BASELINE, ROOM};
 
 use super::alarms::{Action, Fault};
 use super::backup::Backup;

@@ -118,7 +118,7 @@ fn responses() -> Vec<Conditions> {
          tells: only gas that comes back should have raised the pressure. Or no change by more than {} \
          cmH2O in an inspiration from more than {} above PEEP whose gas raises the pressure by {}, or in an \
          expiration whose gas lowers it by {}; or such a pressure at the end of {} expirations in a row, or one \
-         that leaves less than {} % of the rise for a breath when no gas flows out any more, of which the gas in \
+         {} above PEEP that leaves less than {} % of the rise for a breath when no gas flows out any more, of which the gas in \
          the lung explains less than {} %",
         ms(lung::UNANSWERED),
         percent(lung::ANSWER),
@@ -133,6 +133,7 @@ fn responses() -> Vec<Conditions> {
         number(lung::TELLING_RISE),
         number(standing::FALL),
         expiration::IN_A_ROW,
+        number(supervisor::LEAST_BASELINE),
         percent(supervisor::ROOM),
         percent(standing::EXPLAINED)
     );

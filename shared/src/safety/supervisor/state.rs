@@ -10,6 +10,8 @@ use crate::safety::source::Reading;
 
 /// Share of the rise from PEEP to PIP that a baseline must leave for a breath: the gas in the lung must explain a higher one.
 pub const ROOM: f32 = 0.5;
+/// Height above PEEP of such a baseline, cmH2O: what makes up for a leak, and sound sensors, explain less.
+pub const LEAST_BASELINE: f32 = 5.0;
 
 /// Whether the running breath's inspiration was ended early, at the pressure limit by what raised the pressure to it, or because its
 /// gas may flow out of an open tube.
@@ -90,8 +92,8 @@ impl SupervisorState {
     /// Whether the last expiration has left less than [`ROOM`] for a breath, in a lung that was at this PEEP, cmH2O.
     pub(super) fn leaves_no_room(&self, breath: &Breath, was_at: f32) -> bool {
         let rise = breath.settings().pip - breath.settings().peep;
-        let highest = was_at + (1.0 - ROOM) * rise + self.expiration.shift(breath);
-        self.standing.start() > highest
+        let above = ((1.0 - ROOM) * rise).max(LEAST_BASELINE);
+        self.standing.start() > was_at + above + self.expiration.shift(breath)
     }
 
     /// Volume that has reached the patient so far in the breath, mL; none if the flow is not measured.

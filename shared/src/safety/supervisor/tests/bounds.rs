@@ -150,6 +150,17 @@ fn gas_that_a_leak_takes_does_not_stay_inside() {
 }
 
 #[test]
+fn a_baseline_leaves_no_room_from_half_of_the_rise_and_five_above_peep_on() {
+    let leaves_none = |pip: f32, baseline: f32| {
+        let (mut run, breath) = (Run::new(), Breath::new(&paper_settings(pip), DEFAULT_PERIOD_US).unwrap());
+        run.state.standing.observe(&breath.at(0), baseline);
+        run.state.leaves_no_room(&breath, 5.0)
+    };
+    assert!(leaves_none(25.0, 15.1) && !leaves_none(25.0, 14.9));
+    assert!(leaves_none(10.0, 10.1) && !leaves_none(10.0, 9.9));
+}
+
+#[test]
 fn a_disconnected_patient_gets_a_capped_probe_and_no_response_is_awaited() {
     let mut run = Run::new();
     (0..2).for_each(|_| assert_eq!(run.inspire(STIFF, 30.0), None));
