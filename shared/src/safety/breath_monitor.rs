@@ -12,6 +12,8 @@ use crate::settings::Settings;
 pub const ABOVE_PEEP: f32 = 3.0;
 /// Pressure below PEEP at which PEEP counts as lost, cmH2O.
 pub const BELOW_PEEP: f32 = 2.0;
+/// Share of an inspiration's gas that may refill the lung in a breath that is compared with others.
+const REFILLS: f32 = 0.2;
 /// Fall of the pressure from one window at the end of an expiration to the next that shows a lung which still empties, cmH2O.
 const FALLS: f32 = 0.1;
 /// Pressure below PEEP that does not prove a sound baseline while PEEP changes, cmH2O.
@@ -223,8 +225,8 @@ pub struct BreathInput<'a> {
     pub inspired: Option<f32>,
     /// Volume that has come back from the patient so far, mL.
     pub returned: f32,
-    /// Whether the inspiration refills a lung that has given out more than its breaths, as in a strain.
-    pub refills: bool,
+    /// Gas that the lung has given out beyond its breaths, as in a strain, and takes in again, mL.
+    pub refill: f32,
     /// Whether a part of it is lost through a leak.
     pub leaks: bool,
     /// Smoothed flow to the patient, L/s, without which no tube is open; none without a sound flow sensor.
@@ -408,7 +410,7 @@ impl BreathMonitor {
         // An inspiration begins at the PEEP of the breath before.
         let began = if state.settling.is_new() { state.peep_before } else { settings.peep };
         let rise = rise - (began - settings.peep).max(0.0);
-        if rise <= TELLING_RISE || end.refills {
+        if rise <= TELLING_RISE || end.refill > REFILLS * volume {
             return false;
         }
         let compliance = Compliance { value: volume / rise, time: exchange_time_of(settings) };

@@ -54,8 +54,6 @@ pub const MISSED_MAX: u32 = 5;
 pub const CUTS_MAX: u32 = 3;
 /// Distance of the other sensor below a pressure at its limit with which it denies that, cmH2O.
 const DENIED: f32 = 0.5 * FAR_APART;
-/// Share of an inspiration's gas from which that refills the lung.
-const REFILLS: f32 = 0.2;
 /// Fraction of that rise from which a reading responds to the gas.
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
@@ -479,7 +477,7 @@ impl Supervisor {
             reached: if telling { state.reached(moment) } else { None },
             inspired: if telling { state.volumes.inspired() } else { None },
             returned: state.volumes.expired(),
-            refills: state.volumes.deficit() > REFILLS * state.lung.volume(),
+            refill: state.volumes.deficit(),
             leaks: state.volumes.expired_share().is_some_and(|share| share < TIGHT),
             flow,
             doubtful,

@@ -64,7 +64,7 @@ impl Seen {
             reached: None,
             inspired: None,
             returned: 0.0,
-            refills: false,
+            refill: 0.0,
             leaks: false,
             flow: None,
             doubtful: false,
@@ -302,12 +302,14 @@ fn a_tube_that_takes_no_volume_is_found_in_its_second_breath() {
 #[test]
 fn an_inspiration_that_refills_the_lung_is_no_measure_of_the_others() {
     let refilled = Seen { volume: 1300.0, ..GOOD };
-    let found = |refills: bool| {
-        complaint_with(&[refilled, GOOD, GOOD], |input| input.refills = refills && input.volume > 1000.0)
+    let found = |refill: f32| {
+        complaint_with(&[refilled, GOOD, GOOD], |input| {
+            input.refill = if input.volume > 1000.0 { refill } else { 0.0 };
+        })
     };
-    assert_eq!((found(false), found(true)), (Some((2, Fault::Occlusion)), None));
+    assert_eq!((found(259.0), found(261.0)), (Some((2, Fault::Occlusion)), None));
     let occluded = Seen { volume: 40.0, ..GOOD };
-    assert_eq!(complaint_with(&[GOOD, occluded, occluded], |input| input.refills = true), None);
+    assert_eq!(complaint_with(&[GOOD, occluded, occluded], |input| input.refill = 9.0), None);
 }
 
 #[test]
