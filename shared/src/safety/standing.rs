@@ -5,8 +5,8 @@
 //! So a reading is lost that
 //! * stands still above PEEP in an inspiration whose gas should have raised it ([`Standing::stands_above`]),
 //! * has stood still in an expiration in which a lung's gas came out ([`Standing::denies_outflow`]), or
-//! * stands still so high above PEEP that the gas which has stayed in the lung cannot explain it ([`Standing::denies_balance`]), or is so
-//!   high for long, whether it stands still or not ([`Standing::lacks_gas`]).
+//! * stands still so high above PEEP that the gas which has stayed in the lung cannot explain it ([`Standing::denies_balance`]), or
+//!   leaves hardly any room for a breath without that gas, whether it stands still or not ([`Standing::lacks_gas`]).
 //!
 //! For the same reason PIP follows a high baseline only if the pressure swings with the breath ([`Standing::swings`]).
 

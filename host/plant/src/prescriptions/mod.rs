@@ -288,7 +288,11 @@ fn bounds(name: &str) -> Option<(f64, f64)> {
     })
 }
 
-fn field(name: &str) -> &'static Field {
+/// The setting of this name.
+///
+/// # Panics
+/// There is none.
+pub fn field(name: &str) -> &'static Field {
     FIELDS.iter().find(|field| field.name == name).expect("a setting's name")
 }
 

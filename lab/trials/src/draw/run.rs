@@ -96,6 +96,7 @@ pub fn run(case: &Case, onset_s: f64, monitors: Monitors) -> Result<Observed, So
     let memory = PrescriptionMemory::new();
     let patient = Patient {
         number: 0,
+        newborn: false,
         bench: case.bench.clone(),
         settings: case.settings,
         changes: Vec::new(),

@@ -92,7 +92,7 @@ pub fn run(
     hours: f64,
     observer: &mut dyn Observer,
 ) -> Result<Option<PatientResult>, SourceError> {
-    let controller = &ward::controller(controller, &patient.bench);
+    let controller = &ward::controller(controller, patient.newborn);
     let end_ms = (hours * 3.6e6).round() as u32;
     let seconds = f64::from(end_ms) * 1e-3;
     let threshold = DELIVERED * patient.least_volume_ml(seconds);

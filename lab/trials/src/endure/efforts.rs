@@ -234,7 +234,7 @@ mod tests {
     /// A patient on this lung who makes efforts of a strength faster than the set rate, at an adult's machine drawn from the seed.
     fn patient(number: u64, lung: (f64, f64), effort: f64, leak: f64, rate: f32) -> Patient {
         let mut drawn = (0..).map(|seed| Patient::draw(21 + seed, number, 0.1));
-        let mut patient = drawn.find(|patient| patient.bench.valve.max_flow_l_per_s > 1.0).unwrap();
+        let mut patient = drawn.find(|patient| !patient.newborn).unwrap();
         patient.changes.clear();
         patient.settings = Settings { rate, inspiratory_time: 0.8, fall_time: 0.3, ..Settings::default() };
         let bench = &mut patient.bench;

@@ -7,6 +7,7 @@ use shared::settings::{LIMIT_MARGIN, Settings};
 use super::chance::uniform;
 use super::ward::{Kind, ventilates};
 use plant::bench::BenchConfig;
+use plant::prescriptions::field;
 
 /// Breaths between two courses.
 const PAUSE: (f64, f64) = (100.0, 400.0);
@@ -20,9 +21,6 @@ const RECRUITMENT_STEP: (f64, f64) = (2.0, 5.0);
 const RECRUITMENT_BREATHS: (f64, f64) = (3.0, 10.0);
 /// Least distance of PIP above PEEP that is left after weaning, cmH2O.
 const WEANED: f32 = 5.0;
-/// Highest PIP, and lowest and highest pressure limit that a device accepts, cmH2O.
-const HIGHEST_PIP: f32 = 60.0;
-const LIMITS: (f32, f32) = (15.0, 70.0);
 
 /// Settings that the operator enters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,8 +90,8 @@ fn recruitment(rng: &mut ChaCha8Rng, before: Settings, highest: f32) -> Vec<Step
     let (size, breaths) = (uniform(rng, RECRUITMENT_STEP) as f32, uniform(rng, RECRUITMENT_BREATHS));
     let highest = uniform(rng, (f64::from(before.peep), f64::from(highest))) as f32;
     let at = |peep: f32| {
-        let pip = (before.pip + peep - before.peep).min(HIGHEST_PIP);
-        let pressure_limit = before.pressure_limit.max(pip + LIMIT_MARGIN).min(LIMITS.1);
+        let pip = (before.pip + peep - before.peep).min(field("pip").max);
+        let pressure_limit = before.pressure_limit.max(pip + LIMIT_MARGIN).min(field("pressure_limit").max);
         (breaths, Settings { peep, pip, pressure_limit, ..before })
     };
     let count = ((highest - before.peep) / size).floor() as u16;
@@ -117,7 +115,8 @@ fn rhythm(rng: &mut ChaCha8Rng, before: Settings, other: &Settings) -> Settings 
 
 /// Another limit, rise, fall or bias.
 fn shape(rng: &mut ChaCha8Rng, before: Settings, other: &Settings) -> Settings {
-    let pressure_limit = (before.pip + other.pressure_limit - other.pip).clamp(LIMITS.0, LIMITS.1);
+    let allowed = field("pressure_limit");
+    let pressure_limit = (before.pip + other.pressure_limit - other.pip).clamp(allowed.min, allowed.max);
     let fall_time = possible_fall(other.fall_time, before.rate, before.inspiratory_time);
     match rng.random_range(0..4) {
         0 => Settings { pressure_limit: pressure_limit.max(before.pip + LIMIT_MARGIN), ..before },

@@ -13,6 +13,7 @@ use super::slow_fault;
 use super::ward::Kind;
 use crate::faults::volume::{VolumeLimits, passive_volume_ml};
 use plant::bench::{BenchConfig, Failure, Faulty};
+use plant::prescriptions::field;
 
 /// Standard deviation of the outlet sensor's noise, cmH2O; the family draws that of the airway sensor.
 const NOISE: (f64, f64) = (0.03, 0.2);
@@ -21,15 +22,16 @@ const QUANTUM: (f64, f64) = (0.01, 0.1);
 /// Spread of the outlet sensor's offset, cmH2O, and of the flow sensor's gain, percent (sd).
 const OUTLET_OFFSET: f64 = 0.3;
 const FLOW_GAIN: f64 = 3.0;
-/// Alarm limits of the volumes, as factors on what the passive lung gets; and the highest ones that a device accepts, mL, L/min.
+/// Alarm limits of the volumes, as factors on what the passive lung gets.
 const LIMITS: VolumeLimits = VolumeLimits { tidal: (0.5, 2.5), minute: (0.5, 2.5) };
-const HIGHEST_LIMITS: (f32, f32) = (3000.0, 60.0);
 
 /// A patient at a machine.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Patient {
     /// Number, from 0.
     pub number: u64,
+    /// Whether it is a newborn.
+    pub newborn: bool,
     /// Lung, breathing and machine.
     pub bench: BenchConfig,
     /// Settings at the start.
@@ -63,7 +65,7 @@ impl Patient {
         }
         let settings = limited(&bench, settings);
         slow_fault::add(&mut of_faults, &mut bench);
-        Self { number, bench, settings, changes, seed: noise, failure: None }
+        Self { number, newborn: kind.newborn, bench, settings, changes, seed: noise, failure: None }
     }
 
     /// All settings with their durations in a stay of some seconds.
@@ -116,8 +118,8 @@ impl Patient {
 fn limited(bench: &BenchConfig, settings: Settings) -> Settings {
     let limited = LIMITS.of(bench, settings);
     Settings {
-        tidal_volume_high: limited.tidal_volume_high.min(HIGHEST_LIMITS.0),
-        minute_volume_high: limited.minute_volume_high.min(HIGHEST_LIMITS.1),
+        tidal_volume_high: limited.tidal_volume_high.min(field("tidal_volume_high").max),
+        minute_volume_high: limited.minute_volume_high.min(field("minute_volume_high").max),
         ..limited
     }
 }

@@ -29,7 +29,7 @@ fn patient(failure: Option<(u32, Failure)>) -> Patient {
     let mut patient = Patient::draw(1, 0, HOURS);
     patient.bench = plant::bench::BenchConfig::paper(20.0, 20.0);
     patient.settings = shared::breath::paper_settings(25.0);
-    (patient.changes, patient.failure) = (Vec::new(), failure);
+    (patient.newborn, patient.changes, patient.failure) = (false, Vec::new(), failure);
     patient
 }
 
