@@ -32,8 +32,6 @@ pub const DOUBTFUL_BREATHS: u32 = 2;
 const EXPIRATORY: f32 = 7.0;
 /// Distance from PEEP with which a sensor of two that are apart is wrong, cmH2O.
 const OFF: f32 = 0.5 * DOUBTFUL;
-/// Expirations in a row that must speak for a sensor which lost before.
-pub const CONTRARY_BREATHS: u32 = 3;
 /// Difference at the end of an expiration up to which they agree again, cmH2O.
 pub const AGREE: f32 = 1.0;
 /// Breaths in a row with so small a difference after which both are used again.
@@ -143,8 +141,6 @@ pub struct SourceState {
     rest: Windows<3>,
     doubtful: u32,
     agreed: u32,
-    /// Expirations in a row that speak for the sensor which has lost in an expiration; none if it has lost otherwise.
-    contrary: Option<u32>,
     plateau: Plateau,
 }
 
@@ -386,14 +382,7 @@ impl PressureSource {
         let wrong = state.doubtful >= self.doubtful || (state.undecided && apart_at_rest);
         state.undecided &= !wrong && state.agreed == 0;
         if wrong {
-            // Just after a leak has ended, what made up for it holds the pressure above PEEP.
-            let airway_wrong = airway > outlet;
-            let lost = if airway_wrong { state.outlet.doubted } else { state.airway.doubted };
-            let contrary = state.contrary.filter(|_| lost).map_or(CONTRARY_BREATHS, |before| before + 1);
-            if contrary >= CONTRARY_BREATHS {
-                state.doubt(airway_wrong, !airway_wrong);
-            }
-            state.contrary = Some(contrary % CONTRARY_BREATHS);
+            state.doubt(airway > outlet, airway <= outlet);
         }
         wrong
     }
@@ -416,7 +405,7 @@ impl SourceState {
 
     /// Doubts these sensors from now on.
     fn doubt(&mut self, airway: bool, outlet: bool) {
-        (self.airway.doubted, self.outlet.doubted, self.contrary) = (airway, outlet, None);
+        (self.airway.doubted, self.outlet.doubted) = (airway, outlet);
     }
 
     /// Whether the reading in use is noisy.

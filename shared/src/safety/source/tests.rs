@@ -223,20 +223,6 @@ fn a_sensor_that_the_gas_denies_gives_way_to_the_other_one() {
 }
 
 #[test]
-fn a_sensor_that_has_lost_at_rest_wins_by_three_expirations_in_a_row() {
-    let mut run = Run::new();
-    let doubted = |run: &Run| (run.state.airway.doubted, run.state.outlet.doubted);
-    (0..2).for_each(|_| assert!(run.expiration(11.0, 2.0, 0.0) == (run.state.doubtful > 1)));
-    assert_eq!(doubted(&run), (true, false));
-    let mut after = |outlet: f32| {
-        run.expiration(11.0, outlet, 0.0);
-        doubted(&run)
-    };
-    assert_eq!([15.0, 15.0, 2.0, 15.0, 15.0].map(&mut after), [(true, false); 5]);
-    assert_eq!(after(15.0), (false, true));
-}
-
-#[test]
 fn after_two_expirations_the_sensor_closer_to_peep_is_believed() {
     for (airway, outlet, believed) in
         [(10.0, 5.2, 5.2), (5.3, 1.0, 5.3), (1.0, 5.0, 5.0), (5.0, 9.0, 5.0), (6.0, 3.9, 6.0)]
