@@ -154,7 +154,7 @@ pub struct FlowState {
     only_out: u32,
     blocked: u32,
     lost: Option<Loss>,
-    /// Time for which a lost sensor has been sound, s.
+    /// Time since the sensor has last been wrong, as far as its breaths tell something, s.
     sound: f32,
 }
 
@@ -286,7 +286,7 @@ impl FlowMonitor {
         state.standing = in_a_row(state.standing, state.running.repeats > repeats);
         let stands = state.noisy && state.standing >= self.standing;
         if self.enabled && stands && state.lost.is_none() {
-            state.lost = Some(Loss::Reading);
+            (state.lost, state.sound) = (Some(Loss::Reading), 0.0);
         }
     }
 
@@ -445,16 +445,20 @@ impl FlowState {
             _ if self.only_out >= ONLY_OUT => Loss::Reading,
             _ => return,
         };
+        if self.lost.is_none() {
+            self.sound = 0.0;
+        }
         if self.lost != Some(Loss::Gas) {
             self.lost = Some(loss);
         }
     }
 
-    /// Takes a sound sensor into use again, and learns from it.
+    /// Takes a sound sensor into use again, and learns from it. A single contradiction, as by a leak that begins, is forgotten after as
+    /// long: the breaths of a newborn may never tell anything again.
     fn find(&mut self, verdict: Verdict, gas: &Gas) {
         let sound = match (self.lost, verdict) {
             (_, Verdict::Sound) => true,
-            (Some(Loss::Reading), Verdict::Silent) => self.only_out == 0,
+            (None | Some(Loss::Reading), Verdict::Silent) => self.only_out == 0,
             _ => false,
         };
         let wrong = matches!(verdict, Verdict::Frozen | Verdict::Belied | Verdict::Unbalanced);
@@ -463,11 +467,13 @@ impl FlowState {
         } else if wrong || self.only_out > 0 {
             self.sound = 0.0;
         }
-        if self.is_lost() && self.sound >= SOUND {
-            (self.lost, self.belied, self.only_out) = (None, 0, 0);
+        if self.sound >= SOUND {
+            self.belied = 0;
+            if self.is_lost() {
+                (self.lost, self.only_out) = (None, 0);
+            }
         }
         if !self.is_lost() {
-            self.sound = 0.0;
             self.learn(verdict, gas);
         }
     }

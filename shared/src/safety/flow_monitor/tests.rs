@@ -223,6 +223,23 @@ fn a_lost_sensor_is_used_again_after_five_seconds_of_sound_breaths() {
 }
 
 #[test]
+fn a_single_contradiction_is_forgotten_after_five_seconds_that_tell_nothing() {
+    let mut run = Run::known();
+    run.breath(noisy(0.1));
+    (run.valve, run.lung) = (0.05, 0.04);
+    run.breath(|flow| flow);
+    assert!(run.state.is_doubtful());
+    run.breath(|flow| flow);
+    assert!(!run.state.is_doubtful());
+    // And a reading that stands still is not used again before that time.
+    for tick in 0..11 {
+        run.monitor.add(&mut run.state, 0.1, 0.1, tick < 10);
+    }
+    assert!(run.state.is_lost());
+    assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost));
+}
+
+#[test]
 fn a_sensor_that_was_lost_by_its_gas_is_not_found_by_breaths_without_any() {
     let mut run = Run::known();
     assert_eq!(run.lost_after(noisy(0.1)), Some(2));
