@@ -31,9 +31,11 @@ impl Loss {
         per_root(self.gas, self.root)
     }
 
-    /// How much more gas was lost than a leak of this size explains, mL; negative for less.
+    /// How much more gas was lost than a leak of this size explains, mL; negative for less. A leak that ends takes back no more than its
+    /// own gas: what comes out beyond that, the lung has kept before.
     fn unexplained(&self, leak: f32) -> f32 {
-        self.gas - 1e3 * leak * self.root
+        let explained = 1e3 * leak * self.root;
+        (self.gas - explained).max(-explained)
     }
 
     /// The larger of the gas that went in and the gas that came out, mL.
@@ -174,6 +176,17 @@ mod tests {
         assert!((0..40).all(|n| leak.add(losing(100.0)) == (n == 0)));
         let told = [(); 3].map(|()| leak.add(Loss { gas: -50.0, inspired: 250.0, ..losing(0.0) }));
         assert_eq!(told, [false; 3]);
+    }
+
+    #[test]
+    fn gas_that_the_lung_gives_back_ends_no_leak() {
+        // 10 mL in each breath, which no breath here shows.
+        let told = |leak: f32| {
+            let mut state = Leak::default();
+            assert!((0..40).all(|n| state.add(losing(leak)) == (n == 0)));
+            [(); 3].map(|()| state.add(Loss { gas: -100.0, inspired: 50.0, ..losing(0.0) }))[2]
+        };
+        assert!(!told(10.0) && told(250.0));
     }
 
     #[test]
