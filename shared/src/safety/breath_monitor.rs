@@ -233,6 +233,8 @@ pub struct BreathInput<'a> {
     pub flow: Option<f32>,
     /// Whether the two pressure sensors differ.
     pub doubtful: bool,
+    /// Whether an effort draws the pressure of an expiration down, or lets it go.
+    pub drawn: bool,
     /// Volumes that went in and came out in the last breath, mL; none if the flow was not measured.
     pub last: Option<BreathVolumes>,
 }
@@ -352,7 +354,7 @@ impl BreathMonitor {
         }
         if !inspires {
             let falls = state.rest.fall().is_some_and(|[fall]| fall > FALLS);
-            return self.expired(state, state.rest.last(), (peep, falls), cut);
+            return self.expired(state, state.rest.last(), (peep, falls), cut || input.drawn);
         }
         let (pressure, command) = (state.pressure.take(), state.command.take());
         if cut {
@@ -428,13 +430,14 @@ impl BreathMonitor {
         state.occluded >= self.occluded && (!passes || state.occluded >= NARROWED_BREATHS)
     }
 
-    /// Checks an expiration by a mean pressure at its end, against PEEP, and by whether that pressure still falls.
+    /// Checks an expiration by a mean pressure at its end, against PEEP, and by whether that pressure still falls. `by_patient`: a low one is
+    /// the patient's, as in an effort, or after a cough, which leaves less gas in the lung than at PEEP.
     fn expired(
         &self,
         state: &mut BreathState,
         pressure: Option<[f32; 1]>,
         (peep, falls): (f32, bool),
-        cut: bool,
+        by_patient: bool,
     ) -> Option<Fault> {
         if !state.settling.judges() {
             return None;
@@ -443,8 +446,7 @@ impl BreathMonitor {
         let above_peep = pressure - peep;
         let (lowest, highest) = state.peeps(peep);
         let is_high = above_peep > ABOVE_PEEP;
-        // After a cough the lung contains less gas than at PEEP.
-        let is_low = above_peep < -BELOW_PEEP && !cut;
+        let is_low = above_peep < -BELOW_PEEP && !by_patient;
         // While PEEP changes again and again, a pressure that is right by chance tells nothing: it would be wrong at the PEEP before.
         // And a lung still empties what larger breaths have left in it: that is trapped only if it stays.
         let empties = falls && !state.settling.has_rested();
@@ -452,7 +454,7 @@ impl BreathMonitor {
             state.high = if is_high && empties { state.high } else { in_a_row(state.high, is_high) };
             state.above = in_a_row(state.above, is_high);
         }
-        let nearly_low = above_peep < -NEARLY_LOW && pressure < highest - BELOW_PEEP && !cut;
+        let nearly_low = above_peep < -NEARLY_LOW && pressure < highest - BELOW_PEEP && !by_patient;
         if is_low || !nearly_low {
             state.low = in_a_row(state.low, is_low);
         }

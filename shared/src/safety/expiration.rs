@@ -66,6 +66,8 @@ const SAMPLED: f32 = 0.125;
 const SAMPLES: usize = 5;
 /// Samples that may belong to the effort that ends an expiration.
 const OF_EFFORT: usize = 1;
+/// Change of the pressure since the sample before those of an effort that an effort causes, cmH2O.
+const DRAWN: f32 = 1.0;
 /// Largest such change without a flow, cmH2O.
 const CONSTANT: f32 = 0.5;
 /// Share of the fall that the flow's own predicts behind a resistance from which the pressure falls with the flow, and the smallest
@@ -345,6 +347,11 @@ impl ExpirationState {
     /// of which one may hide an effort, or breath has followed breath for long.
     pub fn is_even(&self) -> bool {
         self.emptied > 1 || self.ended >= EVEN
+    }
+
+    /// Whether the pressure has moved since the last but one sample of the expiration: an effort draws it, or lets it go.
+    pub fn is_drawn(&self) -> bool {
+        (self.smooth - self.sample_before(OF_EFFORT).pressure).abs() > DRAWN
     }
 
     /// Expirations in a row that ended above PEEP.

@@ -481,6 +481,7 @@ impl Supervisor {
             leaks: state.volumes.expired_share().is_some_and(|share| share < TIGHT),
             flow,
             doubtful,
+            drawn: state.expiration.is_drawn(),
             last: state.volumes.exchange(),
         };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {

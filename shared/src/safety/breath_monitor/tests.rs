@@ -68,6 +68,7 @@ impl Seen {
             leaks: false,
             flow: None,
             doubtful: false,
+            drawn: false,
             last: None,
         }
     }
@@ -133,6 +134,12 @@ fn a_lost_peep_is_found_in_its_third_breath() {
         None,
         "at the bound"
     );
+}
+
+#[test]
+fn what_an_effort_draws_below_peep_is_no_lost_peep() {
+    let low = Seen { baseline: 2.5, ..GOOD };
+    assert_eq!(complaint_with(&[low; 9], |input| input.drawn = true), None);
 }
 
 #[test]
