@@ -337,7 +337,7 @@ impl Supervisor {
                 if state.backup.lacks_gas() {
                     state.flow.inspired(Ordering::Less);
                 }
-                let by_gas = state.lung.explains(0.5 * (limit + settings.pip));
+                let by_gas = state.lung.explains(0.5 * (limit + settings.pip)) || state.shows_gas(flow);
                 state.cut = match (denied(limit, DENIED), by_gas) {
                     (true, _) => Cut::Denied,
                     (_, true) => Cut::ByGas,

@@ -12,6 +12,15 @@ const REACHES: f32 = 0.5;
 /// Modelled flow below which no flow need reach the patient, L/s.
 const LITTLE_FLOW: f32 = 0.1;
 
+impl SupervisorState {
+    /// Whether the flow towards the patient, L/s, is that of the valve's gas, as far as its curve is that of the model; not so if a patient
+    /// presses, or the valve hardly gives any.
+    pub(super) fn shows_gas(&self, flow: f32) -> bool {
+        let modelled = self.lung.flow();
+        modelled >= LITTLE_FLOW && flow >= REACHES * self.flow.usual_share() * modelled
+    }
+}
+
 impl Supervisor {
     /// Finds why the pressure does not respond to the gas. If the gas reaches the patient, and two sound sensors agree, a
     /// patient draws it in: either the pressure stays up all the same, or no more is missing than an effort takes away. Efforts
@@ -31,10 +40,8 @@ impl Supervisor {
         let rise = pressure - settings.peep;
         let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
         let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < EFFORT;
-        // Of the gas that the valve really gives: its curve differs from the model's.
-        let shown = readings.flow >= REACHES * state.flow.usual_share() * flow;
         // A flow sensor that is out of use denies nothing.
-        let reaches = flow < LITTLE_FLOW || shown || state.flow.is_lost();
+        let reaches = flow < LITTLE_FLOW || state.shows_gas(readings.flow) || state.flow.is_lost();
         // A pressure that falls is that of a patient who relaxes after a strain.
         let falls = state.standing.highest() - pressure > ABOVE_PEEP;
         let refills = state.lung.volume() < state.volumes.deficit();

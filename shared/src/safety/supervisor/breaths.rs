@@ -33,7 +33,8 @@ impl Supervisor {
         pressure: Option<f32>,
         settings: &Settings,
     ) {
-        if let Some(fault) = state.ladder.breath_ended(state.cut == Cut::ByGas) {
+        let seconds = state.settings.map_or(0.0, |before| 60.0 / before.rate);
+        if let Some(fault) = state.ladder.breath_ended(state.cut == Cut::ByGas, seconds) {
             self.report(state, fault);
         }
         let in_doubt = state.cut == Cut::InDoubt;

@@ -69,6 +69,23 @@ fn gas_explains_a_cut_if_it_predicts_half_of_the_way_from_pip_to_the_limit() {
 }
 
 #[test]
+fn gas_that_flows_on_explains_a_cut_whatever_the_lung_was() {
+    // The tube narrows: the same gas raises the pressure by more. Against a cough none flows.
+    let cut = |share: f32| {
+        let mut run = Run::new();
+        assert_eq!(run.inspire(SOFT, 30.0), None);
+        for tick in 0..300 {
+            let pressure = 10.0 + 0.2 * tick as f32;
+            let flow = share * run.state.lung.valve_flow();
+            run.check_all(Readings { flow, ..Readings::from(pressure + dither(tick)) }, Some(tick));
+            run.filter(ControlOutput::plain(30.0), false);
+        }
+        run.state.cut
+    };
+    assert_eq!([-0.1, 0.4, 0.6].map(cut), [Cut::ByPatient, Cut::ByPatient, Cut::ByGas]);
+}
+
+#[test]
 fn the_sensors_are_compared_over_the_last_fifty_milliseconds_of_a_breath() {
     // Each expiration is lengthened by 0.4 s.
     let disagree = |apart: &dyn Fn(u32) -> f32| {
