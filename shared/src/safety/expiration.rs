@@ -261,10 +261,12 @@ impl Expiration {
     ) -> Option<Fault> {
         let least = if state.compensation() > LEAK { TIGHT } else { OPEN };
         let lost = expired_share.is_some_and(|share| share < least);
-        if missing != Missing::Explained {
-            state.leaks = in_a_row(state.leaks, lost);
+        if !lost {
+            (state.leaks, state.fills) = (0, 0);
+        } else if missing != Missing::Explained {
+            state.leaks = state.leaks.saturating_add(1);
             // A lung that fills keeps gas in all of them.
-            state.fills = if lost { state.fills + u32::from(missing == Missing::Kept) } else { 0 };
+            state.fills += u32::from(missing == Missing::Kept);
         }
         state.held = in_a_row(state.held, state.lowest > HELD);
         state.lowest = state.compensation;

@@ -14,6 +14,9 @@ const CHANGED: usize = 3;
 /// Share of the gas moved in these breaths: a larger unexplained loss is not gas that the lung keeps or gives back.
 const UNEXPLAINED: f32 = 0.5;
 
+/// Share of the lost gas that refills the lung in a breath which shows no leak.
+const REFILLS: f32 = 0.5;
+
 /// Gas that a breath has lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Loss {
@@ -23,6 +26,8 @@ pub struct Loss {
     pub root: f32,
     /// Gas that went in, mL.
     pub inspired: f32,
+    /// Part of the lost gas that refills a lung which a strain has emptied, mL.
+    pub refill: f32,
 }
 
 impl Loss {
@@ -31,11 +36,16 @@ impl Loss {
         per_root(self.gas, self.root)
     }
 
-    /// How much more gas was lost than a leak of this size explains, mL; negative for less. A leak that ends takes back no more than its
-    /// own gas: what comes out beyond that, the lung has kept before.
+    /// How much more gas was lost than a leak of this size and the lung explain, mL; negative for less. A leak that ends takes back no more
+    /// than its own gas: what comes out beyond that, the lung has kept before.
     fn unexplained(&self, leak: f32) -> f32 {
         let explained = 1e3 * leak * self.root;
-        (self.gas - explained).max(-explained)
+        (self.gas - self.refill - explained).max(-explained)
+    }
+
+    /// Whether most of the gas has refilled the lung.
+    pub fn refills(&self) -> bool {
+        self.refill > REFILLS * self.gas
     }
 
     /// The larger of the gas that went in and the gas that came out, mL.
@@ -103,7 +113,7 @@ mod tests {
 
     /// A breath of 400 mL at 9 cmH2O for 3 s, of which this gas is lost, mL.
     fn losing(gas: f32) -> Loss {
-        Loss { gas, root: 9.0, inspired: 400.0 }
+        Loss { gas, root: 9.0, inspired: 400.0, refill: 0.0 }
     }
 
     /// The leak after these losses, in mL per breath.
@@ -139,7 +149,7 @@ mod tests {
     fn breaths_of_different_lengths_count_by_their_length() {
         let mut leak = Leak::default();
         leak.add(losing(90.0));
-        leak.add(Loss { gas: 0.0, root: 0.85 * 9.0, inspired: 400.0 });
+        leak.add(Loss { root: 0.85 * 9.0, ..losing(0.0) });
         near(leak.leak() * 9000.0, 45.0);
     }
 
@@ -159,6 +169,19 @@ mod tests {
         // The mean has followed the first two of them: 2.17 of 3 losses are unexplained, of 1200 mL.
         assert!(after(&[none.as_slice(), &[276.0; 3]].concat()) < 110.0, "half of the gas");
         near(after(&[none.as_slice(), &[278.0; 3]].concat()), 278.0);
+    }
+
+    #[test]
+    fn gas_that_refills_the_lung_shows_no_leak() {
+        let told = |refill: f32| {
+            let mut leak = Leak::default();
+            assert!((0..40).all(|n| leak.add(losing(0.0)) == (n == 0)));
+            leak.add(losing(-3.0 * refill));
+            [(); 3].map(|()| leak.add(Loss { refill, ..losing(280.0) }))[2]
+        };
+        assert_eq!([0.0, 100.0, 280.0].map(told), [true, false, false]);
+        let refills = |refill| Loss { refill, ..losing(280.0) }.refills();
+        assert!(!refills(139.0) && refills(141.0));
     }
 
     #[test]

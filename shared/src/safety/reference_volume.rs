@@ -38,6 +38,8 @@ const OLDER: usize = 3;
 const FIRST_GROUPS: u8 = 2;
 /// Share of the volume up to which the gas of a leak may pass beside it in a breath that becomes part of the reference.
 const LEAKY: f32 = 0.5;
+/// Multiple of the inspired gas of which more comes out only if a patient presses: no breath, and nothing to compare.
+const PRESSED: f32 = 2.0;
 /// Share of the volume that a lung loses per cmH2O of a higher PEEP: near its full size it is stiffer.
 const STIFFENS: f32 = 0.02;
 
@@ -138,6 +140,7 @@ impl ReferenceVolume {
         let doubtful = core::mem::take(&mut self.doubtful);
         match volumes.breath().filter(|_| sound && volumes.last_ticks() > 0) {
             Some(_) if doubtful => self.group = Group::default(),
+            Some(breath) if breath.expired > PRESSED * breath.inspired => {}
             Some(breath) => self.add(breath, drive, seconds),
             // What was found before is not known any more.
             None => {
@@ -190,9 +193,7 @@ impl ReferenceVolume {
         let group = core::mem::take(&mut self.group);
         if group.reaches.0 {
             self.recover();
-            if !group.leaks {
-                self.learn(&group);
-            }
+            self.learn(&group);
             return;
         }
         self.small += group.seconds;
@@ -204,13 +205,16 @@ impl ReferenceVolume {
         }
     }
 
-    /// Makes a group part of the reference.
+    /// Makes a group part of the reference, unless it leaks: then only its time passes, until nothing of the reference is left.
     fn learn(&mut self, group: &Group) {
         let smallest = &mut self.smallest[0];
-        if self.groups == 0 || group.best.volume < smallest.least_at(&group.best.drive) {
-            *smallest = group.best;
+        if !group.leaks {
+            if self.groups == 0 || group.best.volume < smallest.least_at(&group.best.drive) {
+                *smallest = group.best;
+            }
+            self.groups = self.groups.saturating_add(1);
         }
-        (self.groups, self.covers) = (self.groups.saturating_add(1), self.covers + group.seconds);
+        self.covers += group.seconds;
         let is_first = self.smallest[1].volume <= 0.0 && self.groups >= FIRST_GROUPS;
         if is_first || self.covers >= SPAN {
             self.smallest.rotate_right(1);
@@ -312,6 +316,17 @@ mod tests {
         assert!((3..=5).contains(&falls), "a whole group: {falls}");
         assert_eq!(run.until(195.0, Fault::VentilationLost), Some(3));
         assert!(Run::new().until(5.0, Fault::VentilationLost).is_some_and(|breaths| breaths <= 8));
+    }
+
+    #[test]
+    fn gas_that_a_patient_presses_out_is_no_breath_that_reaches_the_volume() {
+        let mut run = Run::new();
+        run.until(195.0, Fault::VentilationFalls).unwrap();
+        for _ in 0..20 {
+            assert!(run.breath(195.0).is_some() && run.breath_of(100.0, 700.0).is_some());
+        }
+        run.breath(400.0);
+        assert_eq!(run.breaths(2, 400.0).last(), None, "a whole breath is one");
     }
 
     #[test]
@@ -494,5 +509,9 @@ mod tests {
         let drive = Drive { time: 1.0, ..run.reference.running };
         (0..6).for_each(|_| run.reference.add(leaky, drive, 3.0));
         assert!(run.reference.falls, "judged by what was learned before");
+        // In seven minutes beside the leak nothing is left of that.
+        let leaky = BreathVolumes { inspired: 300.0, expired: 300.0, leaked: 400.0 };
+        (0..140).for_each(|_| run.reference.add(leaky, drive, 3.0));
+        assert!(run.reference.expected(&drive).abs() < 1e-6);
     }
 }

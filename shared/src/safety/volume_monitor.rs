@@ -15,7 +15,7 @@ use crate::settings::Settings;
 /// Breaths in a row with a tidal volume outside its limits that raise the alarm.
 pub const BREATHS: u32 = 3;
 /// Share of the leak's gas by which the volumes are in doubt: a leak is known to about so much of its size.
-pub(super) const DOUBT: f32 = 0.03;
+pub const DOUBT: f32 = 0.03;
 /// Time over which the minute volume is averaged, s.
 pub const AVERAGED: f32 = 30.0;
 /// Shorter time that a mean must cover after a change of the leak, if breaths have been measured for [`AVERAGED`], s.

@@ -26,7 +26,7 @@ const DOUBT: f32 = 0.1;
 /// Growth of the flow out of the lung over the length of a breath, as a share of the gas that the breath lacks, from which the lung has
 /// kept that gas: its time constant is shorter than twenty breaths.
 const KEPT: f32 = 0.05;
-/// Share of a deficit that counts on in the next breath: what an offset of the sensor adds in each of them stays small.
+/// Share of a deficit that counts on after a breath that takes nothing of it: what an offset of the sensor adds in each stays small.
 const DEFICIT_KEPT: f32 = 0.5;
 /// Flow of a leak that is none, L/s.
 const TIGHT: f32 = 0.005;
@@ -163,12 +163,15 @@ impl Volumes {
         let expired_share = (known && self.inspired >= TELLING).then(|| self.expired / self.inspired);
         // However little went in: what comes out then has stayed in the breaths before.
         let Self { inspired, root, .. } = *self;
-        let loss = (known && root > 0.0).then_some(Loss { gas: inspired - self.expired, root, inspired });
+        let gas = inspired - self.expired;
+        let refill = gas.min(self.deficit).max(0.0);
+        let loss = (known && root > 0.0).then_some(Loss { gas, root, inspired, refill });
         let Self { ticks: last_ticks, flow, smooth, lung, range, .. } = *self;
         let swings = range.1 - range.0 > SWINGS;
         let (ended, grown) = (smooth, self.ended - smooth);
-        let given = if known { self.expired - inspired } else { 0.0 };
-        let deficit = (DEFICIT_KEPT * self.deficit + given).max(0.0);
+        let given = if known { -gas } else { 0.0 };
+        let kept = if given < 0.0 { 1.0 } else { DEFICIT_KEPT };
+        let deficit = (kept * self.deficit + given).max(0.0);
         let measured = Self { breath, expired_share, loss, deficit, ended, grown, ..Self::default() };
         let range = (smooth, smooth);
         *self = Self { lung, flow, smooth, range, swings, last_ticks, exchange: breath, ..measured };
@@ -567,6 +570,15 @@ mod tests {
         });
         for (deficit, expected) in deficits.into_iter().zip([800.0, 400.0, 0.0]) {
             assert!((deficit - expected).abs() < 1.0, "{deficit} mL");
+        }
+        // 800 mL in two breaths that give nothing out.
+        breath(&mut volumes, 3.0, |_| true);
+        let refills = [(); 3].map(|()| {
+            breath(&mut volumes, 0.0, |_| true);
+            volumes.loss().unwrap().refill
+        });
+        for (refill, expected) in refills.into_iter().zip([400.0, 400.0, 0.0]) {
+            assert!((refill - expected).abs() < 1.0, "{refill} mL");
         }
     }
 }

@@ -2,8 +2,9 @@
 
 use shared::safety::alarms::Fault;
 use shared::safety::indications::FaultSet;
+use shared::safety::volume_monitor::DOUBT;
 
-use super::truth::BreathTruth;
+use super::truth::{BreathTruth, per_minute};
 
 /// Breaths in a row with a condition after which an alarm must be present.
 pub const LASTS: u32 = 6;
@@ -27,7 +28,7 @@ pub enum Condition {
     BaselineHigh,
     /// More than 2 cmH2O above the pressure limit.
     AboveLimit,
-    /// A tidal volume a fifth below its limit.
+    /// A tidal volume a fifth below its limit, whatever a leak leaves in doubt.
     TidalVolumeLow,
     /// A tidal volume a fifth above its limit.
     TidalVolumeHigh,
@@ -69,15 +70,19 @@ impl Condition {
     /// Whether it holds in a breath.
     fn holds(self, breath: &BreathTruth) -> bool {
         let baseline = breath.baseline.unwrap_or_else(|| breath.peep());
-        let (settings, minute) = (&breath.settings, breath.minute_volume);
+        let (settings, minute, tidal) = (&breath.settings, breath.minute_volume, breath.expired);
+        // A large leak may take fifty times the gas of a small breath.
+        let doubt = f64::from(DOUBT) * breath.leaked();
+        let per_minute = if doubt > 0.0 { per_minute(doubt, breath.seconds()) } else { 0.0 };
+        let (lowest, highest) = breath.minute_limits;
         match self {
             Self::Leak => breath.leak > LEAK,
             Self::BaselineHigh => baseline > breath.peep() + BASELINE,
             Self::AboveLimit => breath.peak > breath.limit() + ABOVE_LIMIT,
-            Self::TidalVolumeLow => low(breath.expired, settings.tidal_volume_low),
-            Self::TidalVolumeHigh => high(breath.expired, settings.tidal_volume_high),
-            Self::MinuteVolumeLow => minute.is_some_and(|volume| low(volume, breath.minute_limits.0)),
-            Self::MinuteVolumeHigh => minute.is_some_and(|volume| high(volume, breath.minute_limits.1)),
+            Self::TidalVolumeLow => low(tidal + doubt, settings.tidal_volume_low),
+            Self::TidalVolumeHigh => high(tidal - doubt, settings.tidal_volume_high),
+            Self::MinuteVolumeLow => minute.is_some_and(|volume| low(volume + per_minute, lowest)),
+            Self::MinuteVolumeHigh => minute.is_some_and(|volume| high(volume - per_minute, highest)),
             Self::Apnoea => breath.without_s >= APNOEA_S,
         }
     }

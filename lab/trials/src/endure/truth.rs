@@ -165,6 +165,16 @@ impl BreathTruth {
         f64::from(self.settings.pressure_limit)
     }
 
+    /// Gas that leaked, mL.
+    pub fn leaked(&self) -> f64 {
+        self.sums.leaked
+    }
+
+    /// Length, s.
+    pub fn seconds(&self) -> f64 {
+        1e-3 * f64::from(self.sums.ticks)
+    }
+
     fn add(&mut self, moment: &Moment<'_>) {
         let Moment { truth, tick, total, inspiration, command, .. } = *moment;
         let pressure = truth.airway_pressure;
@@ -296,16 +306,20 @@ struct Volumes {
 
 impl Volumes {
     fn add(&mut self, breath: &BreathTruth) {
-        let seconds = 1e-3 * f64::from(breath.sums.ticks);
+        let seconds = breath.seconds();
         self.covers_s = (self.covers_s + seconds).min(AVERAGED_S);
         let weight = seconds / self.covers_s;
-        // From mL/s to L/min.
-        self.minute += weight * (0.06 * breath.expired / seconds - self.minute);
+        self.minute += weight * (per_minute(breath.expired, seconds) - self.minute);
         self.low += weight * (f64::from(breath.settings.minute_volume_low) - self.low);
         self.high += weight * (f64::from(breath.settings.minute_volume_high) - self.high);
         self.without_s =
             if breath.inspired.min(breath.expired) >= DELIVERED_ML { 0.0 } else { self.without_s + seconds };
     }
+}
+
+/// A volume, mL, in a time, s, as a minute volume, L/min.
+pub fn per_minute(volume: f64, seconds: f64) -> f64 {
+    0.06 * volume / seconds
 }
 
 /// The running breath and those before it.
@@ -392,7 +406,8 @@ impl History {
         let Some(ended) = self.breaths.back_mut().filter(|breath| breath.sums.ticks > 0) else { return };
         self.volumes.add(ended);
         ended.minute_limits = (self.volumes.low as f32, self.volumes.high as f32);
-        self.usual.add(ended, 1e-3 * f64::from(ended.sums.ticks));
+        let seconds = ended.seconds();
+        self.usual.add(ended, seconds);
         ended.ended = true;
         ended.minute_volume = (self.volumes.covers_s >= AVERAGED_S).then_some(self.volumes.minute);
         ended.without_s = self.volumes.without_s;

@@ -120,7 +120,7 @@ fn flow_that_holds_peep_is_found_in_breaths_that_no_effort_has_started() {
 
 /// A breath that loses the gas of a leak, L/s at 1 cmH2O.
 fn lost(leak: f32) -> Loss {
-    Loss { gas: 1000.0 * leak, root: 1.0, inspired: 200.0 }
+    Loss { gas: 1000.0 * leak, root: 1.0, inspired: 200.0, refill: 0.0 }
 }
 
 #[test]
@@ -195,11 +195,13 @@ fn the_pressure_has_sagged_once_its_compensation_has_risen_in_the_breath() {
 }
 
 #[test]
-fn a_breath_whose_loss_is_explained_neither_tells_of_a_leak_nor_of_none() {
+fn a_breath_whose_loss_is_explained_tells_of_no_leak_and_one_without_a_loss_of_none() {
     let (expiration, mut state) = breaths_with(2, 25.0, Some(0.5), |_| 5.0);
     let mut start = |missing| expiration.judge_last(&mut state, Some(0.5), missing);
     let found = [Missing::Explained, Missing::Lost, Missing::Explained, Missing::Lost].map(&mut start);
     assert_eq!((found, start(Missing::Lost)), ([None; 4], Some(Fault::Leak)), "the fifth that counts");
+    assert_eq!(expiration.judge_last(&mut state, Some(1.0), Missing::Explained), None);
+    assert_eq!(expiration.judge_last(&mut state, Some(0.5), Missing::Lost), None, "from the start");
 }
 
 #[test]

@@ -152,7 +152,8 @@ impl Supervisor {
     /// Judges the gas that the last breath lost.
     pub(super) fn judge_leak(&self, state: &mut SupervisorState, settings: &Settings) {
         // Gas that a leak takes is more than a lung has room for.
-        let explained = state.volumes.loss().is_some_and(|loss| state.filling.explains(loss.gas));
+        let explained =
+            state.volumes.loss().is_some_and(|loss| loss.refills() || state.filling.explains(loss.gas));
         // The breath that has ended had the settings before.
         if let Some(before) = state.pressures_before.take() {
             state.filling.begin(before, Pressures::of(settings));
