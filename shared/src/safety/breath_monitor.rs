@@ -368,7 +368,9 @@ impl BreathMonitor {
     fn loses_all(&self, state: &mut BreathState, input: &BreathInput) -> bool {
         let was_open = core::mem::take(&mut state.open) >= self.open_for;
         let open = was_open && may_be_open(input.pressure, input.moment.settings().peep);
-        let lost = |gas: f32| gas >= TELLING_GAS && input.returned < COMES_BACK * gas + NOISE;
+        // A valve that gives none of its gas leaves the tube without a pressure, too.
+        let least = TELLING_GAS.max(PASSES * input.share * input.volume);
+        let lost = |gas: f32| gas >= least && input.returned < COMES_BACK * gas + NOISE;
         open && input.inspired.is_some_and(lost)
     }
 

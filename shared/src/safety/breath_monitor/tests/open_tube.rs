@@ -2,8 +2,13 @@
 
 use super::*;
 
-/// A breath of 25 mL or more into a tube at the pressures of inspiration and expiration; the rest of its input.
+/// A breath into a tube at the pressures of inspiration and expiration; the gas that the flow sensor shows, which is half of the valve's.
 fn tube(peep: f32, pressures: (f32, f32), gas: (Option<f32>, f32)) -> Vec<(usize, Fault)> {
+    tube_of(peep, pressures, gas, 2.0 * gas.0.unwrap_or(0.0))
+}
+
+/// The same with another volume of the valve.
+fn tube_of(peep: f32, pressures: (f32, f32), gas: (Option<f32>, f32), volume: f32) -> Vec<(usize, Fault)> {
     let settings = Settings { peep, ..paper_settings(25.0) };
     let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
     let monitor = BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL);
@@ -13,7 +18,7 @@ fn tube(peep: f32, pressures: (f32, f32), gas: (Option<f32>, f32)) -> Vec<(usize
         let pressure = if breath.phase(tick) == Phase::Inspiration { pressures.0 } else { pressures.1 };
         let (inspired, returned) = gas;
         // Too little for what flows at once to be a disconnection.
-        BreathInput { pressure, command: FILLING, inspired, returned, ..GOOD.at(&breath, tick) }
+        BreathInput { pressure, command: FILLING, volume, inspired, returned, ..GOOD.at(&breath, tick) }
     };
     let mut found: Vec<_> =
         ticks.map(|tick| (tick as usize, monitor.check(&mut state, &input(tick)))).collect();
@@ -32,6 +37,7 @@ fn gas_that_does_not_come_back_from_the_rooms_pressure_shows_an_open_tube_at_any
     assert_eq!(tube(0.0, open, (Some(300.0), 72.0)), [], "gas comes back");
     assert_eq!(tube(0.0, open, (Some(19.9), 0.0)), [], "hardly any gas");
     assert_eq!(tube(0.0, open, (None, 0.0)), [], "no flow sensor");
+    assert_eq!(tube_of(0.0, open, (Some(300.0), 0.0), 601.0), [], "the valve gives too little");
     assert_eq!(tube(0.0, (1.5, 0.0), (Some(300.0), 0.0)), [], "the pressure has risen");
     assert_eq!(tube(0.0, (-2.0, 0.0), (Some(300.0), 0.0)), [], "an effort");
     assert_eq!(tube(0.0, (0.2, 1.5), (Some(300.0), 0.0)), [], "gas that is still there");
