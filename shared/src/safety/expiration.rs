@@ -18,8 +18,11 @@ use crate::breath::{Breath, Moment, Phase, period_s};
 use crate::math;
 use crate::safety::alarms::Fault;
 
-/// Pressure below PEEP from which the leak is compensated, cmH2O.
-const SAG: f32 = 0.5;
+/// Pressure below PEEP from which the leak is compensated, cmH2O: a sound sensor may read so much too low, and what it does not need opens
+/// the valve, which looks like an effort.
+const SAG: f32 = 1.0;
+/// Pressure above PEEP from which a compensation is too much, cmH2O.
+const SURPLUS_PRESSURE: f32 = 0.5;
 /// Rise of the compensation per sag, %/s per cmH2O.
 const RISE: f32 = 40.0;
 /// Rise of the compensation in a breath from which the pressure has sagged, percent.
@@ -213,7 +216,7 @@ impl Expiration {
         let now = Sample { pressure: state.smooth, flow };
         state.note_outflow(flow);
         state.settle(now, peep);
-        if above > SAG {
+        if above > SURPLUS_PRESSURE {
             state.forget_effort(state.lowest);
             state.flow_is_too_much();
         }
@@ -227,7 +230,7 @@ impl Expiration {
         let (before, needed) = (state.lowest, state.compensation);
         state.lowest = if inhales { before } else { needed };
         state.forget_effort(before);
-        if above > SAG {
+        if above > SURPLUS_PRESSURE {
             state.flow_is_too_much();
         }
         let before = state.sample_before(OF_EFFORT);

@@ -255,7 +255,7 @@ fn the_controller_sees_the_pip_that_follows_a_stuck_baseline() {
 
 #[test]
 fn the_compensation_of_a_leak_is_added_to_the_bias() {
-    let (samples, _) = circuit(&ventilator().with_monitors(Monitors::ALL), |_| 4.0);
+    let (samples, _) = circuit(&ventilator().with_monitors(Monitors::ALL), |_| 3.5);
     let last = samples.last().unwrap();
     assert_eq!((last.phase, last.u_in as i32), (Phase::Expiration, 45), "a bias of 5 and at most 40");
 }
@@ -408,7 +408,7 @@ fn flow_that_makes_up_for_a_leak_does_not_rise_as_the_expiration_begins() {
         let pressure = |tick| if tick < 1500 { 5.0 } else { sagging };
         ticks.map(|tick| ventilator.step(&mut state, pressure(tick)).sample.unwrap().u_in).collect::<Vec<_>>()
     };
-    let closed = breathe(4.0);
+    let closed = breathe(3.5);
     assert_eq!((closed[1499], closed[1500]), (0.0, 5.02), "the bias and the first rise");
     let open = breathe(5.0);
     assert!(open[1499] > 20.0 && (open[1500] - open[1499]).abs() < 0.1, "{} {}", open[1499], open[1500]);

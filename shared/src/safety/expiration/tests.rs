@@ -46,7 +46,7 @@ fn breaths_with(
 
 #[test]
 fn a_sag_is_compensated_and_the_compensation_ends_with_it() {
-    let (expiration, mut state) = breaths(1, 25.0, |_| 4.0);
+    let (expiration, mut state) = breaths(1, 25.0, |_| 3.5);
     assert!((15.0..35.0).contains(&state.compensation()), "{}", state.compensation());
     let (_, bounded) = breaths(9, 25.0, |_| 0.0);
     assert!((bounded.compensation() - BOUND).abs() < 1e-3);
@@ -74,8 +74,8 @@ fn a_leak_takes_compensation_and_gas_and_an_effort_compensation_alone() {
         state.compensation = state.compensation.max(if pressure < 4.5 { BOUND } else { 0.0 });
         begin(&expiration, &mut state, share, false) == Some(Fault::Leak)
     };
-    assert!(leaks(Some(0.7), 4.0) && leaks(Some(0.5), 5.0));
-    assert!(!leaks(Some(0.9), 4.0) && !leaks(None, 4.0) && !leaks(Some(0.7), 5.0));
+    assert!(leaks(Some(0.7), 3.5) && leaks(Some(0.5), 5.0));
+    assert!(!leaks(Some(0.9), 3.5) && !leaks(None, 3.5) && !leaks(Some(0.7), 5.0));
     let (expiration, mut state) = breaths_with(3, 25.0, Some(0.5), |_| 5.0);
     assert_eq!(begin(&expiration, &mut state, Some(0.5), false), None);
     assert_eq!(begin(&expiration, &mut state, Some(0.5), false), Some(Fault::Leak));
@@ -191,7 +191,7 @@ fn the_pressure_has_sagged_once_its_compensation_has_risen_in_the_breath() {
         (0..ticks).for_each(|_| expiration.observe(&mut state, &breath().at(1600), pressure, 0.0, false));
         state.has_sagged()
     };
-    assert!(sagged(13, 3.5) && !sagged(12, 3.5) && !sagged(1000, 4.6));
+    assert!(sagged(13, 3.0) && !sagged(12, 3.0) && !sagged(1000, 4.1));
 }
 
 #[test]
@@ -418,9 +418,9 @@ fn a_sag_of_one_raises_the_compensation_by_forty_a_second_and_its_end_lowers_it_
         expiration.observe(&mut state, &breath().at(tick), pressure, 0.0, doubtful);
         (1e4 * (state.compensation() - 10.0) + 0.5).floor() as i32
     };
-    assert_eq!((change(2000, 3.5, false), change(2000, 4.0, false)), (400, 200));
-    assert_eq!((change(2000, 4.5, false), change(2000, 3.5, true)), (-80, -80), "no sag");
-    assert_eq!((change(1499, 3.5, false), change(1500, 3.5, false)), (0, 400), "from the end of the fall on");
+    assert_eq!((change(2000, 3.0, false), change(2000, 3.5, false)), (400, 200));
+    assert_eq!((change(2000, 4.0, false), change(2000, 3.0, true)), (-80, -80), "no sag");
+    assert_eq!((change(1499, 3.0, false), change(1500, 3.0, false)), (0, 400), "from the end of the fall on");
 }
 
 #[test]

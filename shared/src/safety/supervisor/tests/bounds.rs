@@ -453,7 +453,7 @@ fn an_effort_shows_in_a_reading_of_this_tick_alone() {
 fn flow_that_holds_peep_is_an_alarm_unless_the_patient_draws_it_in() {
     let alarmed = |flow: f32| {
         let mut run = Run::new();
-        for _ in 0..7 {
+        for _ in 0..9 {
             for tick in 0..1901 {
                 let pressure = if tick < 1000 { 15.0 } else { 3.2 };
                 let flow = if tick == 1900 { flow } else { 0.0 };
