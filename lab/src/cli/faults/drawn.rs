@@ -11,6 +11,7 @@ use host::args::shards::ShardFolderArgs;
 use host::command::Context;
 use show::report::{Cell, Table};
 use trials::draw::case::Case;
+use trials::draw::needs::{Need, Needing, Needs, is_out_of_reach};
 use trials::draw::promise::{Promise, broken};
 use trials::draw::shrink::shrink;
 use trials::draw::tally::{Drawn, Tally};
@@ -84,32 +85,22 @@ impl DrawArgs {
         Ok(Some(DrawnSummary { seed: self.seed, tally }))
     }
 
-    /// Runs the same cases with all parts of the supervisor and without each; fails if they keep as many promises without one.
+    /// Runs each case with all parts of the supervisor and without each; fails if no case needs one of them.
     pub fn mutate(&self, cases: u64, context: &Context<'_>) -> anyhow::Result<()> {
-        let failed = |without: Option<Part>| -> anyhow::Result<u64> {
-            let drawn = Drawn::new(self.seed, without)?;
-            let mut campaign = Campaign::new(&drawn);
-            context.progress(|progress| campaign.advance(&drawn, cases, None, progress))?;
-            Ok(campaign.sums().failed)
-        };
-        let whole = failed(None)?;
-        let mut table = Table::new("Cases that break a promise", &["without", "cases", "more than with all"]);
-        let mut idle = Vec::new();
-        for part in Part::all().take_while(|_| !context.stopped()) {
-            let without = failed(Some(part))?;
-            if without <= whole {
-                idle.push(part.name());
-            }
-            let more = without as i64 - whole as i64;
-            table.row(vec![
-                Cell::text(part.name()),
-                Cell::right(without.to_string()),
-                Cell::right(more.to_string()),
-            ]);
-        }
-        context.table(&table);
-        if !idle.is_empty() {
-            bail!("no more cases fail without {}: draw more cases", idle.join(", "));
+        let needing = Needing::new(self.seed)?;
+        let mut campaign = Campaign::new(&needing);
+        context.progress(|progress| campaign.advance(&needing, cases, None, progress))?;
+        let found = campaign.sums();
+        context.table(&needs(found));
+        let Needs { cases, failed, .. } = found;
+        context.line(&format!("with all of them {failed} of {cases} cases break a promise"));
+        let names =
+            |parts: &mut dyn Iterator<Item = Part>| parts.map(Part::name).collect::<Vec<_>>().join(", ");
+        let out_of_reach = names(&mut Part::all().filter(|part| is_out_of_reach(*part)));
+        context.line(&format!("no drawn case can need {out_of_reach}: their proof is `lab faults --mutate`"));
+        let idle = names(&mut found.idle());
+        if !idle.is_empty() && !context.stopped() {
+            bail!("no case needs {idle}: draw more cases");
         }
         Ok(())
     }
@@ -155,6 +146,16 @@ pub fn one(file: &Path, without: Option<Part>, context: &Context<'_>) -> anyhow:
     }
     context.line("the case kept every promise");
     Ok(())
+}
+
+fn needs(found: &Needs) -> Table {
+    let header = ["without", "break a promise", "keep one", "have no alarm that names the cause"];
+    let mut table = Table::new("Cases that change without a monitor or a response", &header);
+    for (part, Need { broken, kept, unnamed }) in found.each() {
+        let counts = [broken, kept, unnamed].map(|count| Cell::right(count.to_string()));
+        table.row([Cell::text(part.name())].into_iter().chain(counts).collect());
+    }
+    table
 }
 
 fn promises(tally: &Tally) -> Table {

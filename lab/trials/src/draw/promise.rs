@@ -66,34 +66,68 @@ pub struct Broken {
     pub alarm: Option<Fault>,
 }
 
+/// A case and the runs by which it is judged, all of them with all monitors and responses.
+#[derive(Debug)]
+pub struct Reference<'a> {
+    case: &'a Case,
+    whole: Observed,
+    sound: Observed,
+    /// None if no fault is one of what the ventilator knows: then a run is its own reference.
+    able: Option<Observed>,
+}
+
+impl<'a> Reference<'a> {
+    /// Runs a case as it is, without its faults, and with those alone that limit what the machine can do.
+    ///
+    /// # Errors
+    /// A case that cannot be run.
+    pub fn of(case: &'a Case) -> Result<Self, SourceError> {
+        let run = |case: &Case, onset_s| run(case, onset_s, Monitors::ALL);
+        let (onset_s, sound_case, able_case) = (case.onset_s(), sound(case), all_known(case));
+        let (whole, sound) = (run(case, onset_s)?, run(&sound_case, onset_s)?);
+        let able = match able_case {
+            able if able == sound_case => Some(sound.clone()),
+            able if able == *case => None,
+            able => Some(run(&able, onset_s)?),
+        };
+        Ok(Self { case, whole, sound, able })
+    }
+
+    /// The case with all monitors and responses.
+    pub fn whole(&self) -> &Observed {
+        &self.whole
+    }
+
+    /// The promises that a run of the case breaks.
+    pub fn broken(&self, seen: &Observed) -> Vec<Broken> {
+        let case = self.case;
+        let found = [
+            (seen.above_ms > ABOVE_MS && !case.disobeys()).then(|| {
+                let how = format!("{} ms above, peak {:.0} cmH2O", seen.above_ms, seen.peak);
+                Broken { promise: Promise::Pressure, how, alarm: None }
+            }),
+            starved(case, seen, self.able.as_ref().unwrap_or(seen), &self.sound).map(|how| Broken {
+                promise: Promise::Volume,
+                how,
+                alarm: None,
+            }),
+            latched(case, seen),
+            false_alarm(case, seen),
+        ];
+        found.into_iter().flatten().collect()
+    }
+}
+
 /// The promises that a case breaks with these monitors and responses.
 ///
 /// # Errors
 /// A case that cannot be run.
 pub fn broken(case: &Case, monitors: Monitors) -> Result<Vec<Broken>, SourceError> {
-    let onset_s = case.onset_s();
-    let seen = run(case, onset_s, monitors)?;
-    let (sound_case, able_case) = (sound(case), all_known(case));
-    let without = run(&sound_case, onset_s, Monitors::ALL)?;
-    let able = match &able_case {
-        able if able == &sound_case => without.clone(),
-        able if able == case => seen.clone(),
-        able => run(able, onset_s, Monitors::ALL)?,
-    };
-    let found = [
-        (seen.above_ms > ABOVE_MS && !case.disobeys()).then(|| {
-            let how = format!("{} ms above, peak {:.0} cmH2O", seen.above_ms, seen.peak);
-            Broken { promise: Promise::Pressure, how, alarm: None }
-        }),
-        starved(case, &seen, &able, &without).map(|how| Broken {
-            promise: Promise::Volume,
-            how,
-            alarm: None,
-        }),
-        latched(case, &seen),
-        false_alarm(case, &seen),
-    ];
-    Ok(found.into_iter().flatten().collect())
+    let reference = Reference::of(case)?;
+    if monitors == Monitors::ALL {
+        return Ok(reference.broken(&reference.whole));
+    }
+    Ok(reference.broken(&run(case, case.onset_s(), monitors)?))
 }
 
 fn latched(case: &Case, seen: &Observed) -> Option<Broken> {

@@ -27,10 +27,12 @@ const HIGH: f64 = 2.0;
 const WINDOW_S: f64 = 15.0;
 
 /// What a run showed.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Observed {
     /// Alarms in the order of their beginning: when, s, and whether the bench's truth deserves them.
     pub alarms: Vec<(Fault, f64, Verdict)>,
+    /// Alarms that were ever indicated.
+    pub indicated: FaultSet,
     /// Windows from the first fault on, in their order.
     pub windows: Vec<Window>,
     /// Longest time far above the limit that the patient did not cause, ms.
@@ -114,7 +116,7 @@ pub fn run(case: &Case, onset_s: f64, monitors: Monitors) -> Result<Observed, So
         window_s: window_s(case),
         tick: 0,
         begins: false,
-        observed: Observed { alarms: Vec::new(), windows: Vec::new(), above_ms: 0, peak: 0.0, latched: None },
+        observed: Observed::default(),
         case,
     };
     for ms in 0..(case.seconds * 1e3) as u32 {
@@ -189,16 +191,21 @@ impl Run<'_> {
         let far = truth.airway_pressure > f64::from(breath.settings().pressure_limit) + ABOVE_LIMIT;
         self.above = if far && self.pressed >= PRESSED_MS { self.above + 1 } else { 0 };
         observed.above_ms = observed.above_ms.max(self.above);
+        let indicated = rig.control.state().indications().indicated();
+        observed.indicated = both(observed.indicated, indicated);
         if time_s >= self.onset_s {
             let place = ((time_s - self.onset_s) / self.window_s) as usize;
             observed.windows.resize(observed.windows.len().max(place + 1), Window::default());
             let window = &mut observed.windows[place];
             window.breaths += u32::from(std::mem::take(&mut self.begins));
             window.volume_ml += truth.flow_lung.max(0.0);
-            let indicated = rig.control.state().indications().indicated().bits();
-            window.indicated = FaultSet::from_bits(window.indicated.bits() | indicated);
+            window.indicated = both(window.indicated, indicated);
         }
     }
+}
+
+fn both(one: FaultSet, other: FaultSet) -> FaultSet {
+    FaultSet::from_bits(one.bits() | other.bits())
 }
 
 /// Whether a tick is missed.
