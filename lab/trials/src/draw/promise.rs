@@ -72,8 +72,7 @@ pub struct Reference<'a> {
     case: &'a Case,
     whole: Observed,
     sound: Observed,
-    /// None if no fault is one of what the ventilator knows: then a run is its own reference.
-    able: Option<Observed>,
+    able: Observed,
 }
 
 impl<'a> Reference<'a> {
@@ -86,9 +85,9 @@ impl<'a> Reference<'a> {
         let (onset_s, sound_case, able_case) = (case.onset_s(), sound(case), all_known(case));
         let (whole, sound) = (run(case, onset_s)?, run(&sound_case, onset_s)?);
         let able = match able_case {
-            able if able == sound_case => Some(sound.clone()),
-            able if able == *case => None,
-            able => Some(run(&able, onset_s)?),
+            able if able == sound_case => sound.clone(),
+            able if able == *case => whole.clone(),
+            able => run(&able, onset_s)?,
         };
         Ok(Self { case, whole, sound, able })
     }
@@ -106,7 +105,7 @@ impl<'a> Reference<'a> {
                 let how = format!("{} ms above, peak {:.0} cmH2O", seen.above_ms, seen.peak);
                 Broken { promise: Promise::Pressure, how, alarm: None }
             }),
-            starved(case, seen, self.able.as_ref().unwrap_or(seen), &self.sound).map(|how| Broken {
+            starved(case, seen, &self.able, &self.sound).map(|how| Broken {
                 promise: Promise::Volume,
                 how,
                 alarm: None,
