@@ -10,6 +10,7 @@ use shared::settings::Settings;
 
 use super::case::{Case, Law, Rhythm, Stalls};
 use crate::faults::hostile::SOUND;
+use crate::faults::volume::VolumeLimits;
 use plant::bench::family::Family;
 use plant::bench::{BenchConfig, Distortion, Failure, FaultConfig, Faulty, Repeats, Signal, Strain};
 use plant::prescriptions::Prescriptions;
@@ -29,6 +30,10 @@ const RECURRING: f64 = 0.25;
 const BEFORE: (f64, f64) = (5.0, 12.0);
 /// Breaths, and time, from the last beginning of a fault on, s.
 const AFTER: (f64, f64) = (8.0, 45.0);
+/// Share of the alarm limits of the volumes that are set, and what they are, as factors on what the passive lung gets.
+const LIMITED: f64 = 0.3;
+const LOWEST: (f64, f64) = (0.5, 0.8);
+const HIGHEST: (f64, f64) = (1.3, 2.5);
 /// Longest time between the beginnings of two faults, s.
 const APART_S: f64 = 12.0;
 
@@ -98,7 +103,26 @@ impl Generator {
             add(&mut rng, &mut case, rounded(from_s), breath_s);
         }
         case.seconds = rounded(last_s + (AFTER.0 * breath_s).max(AFTER.1));
+        self.limit(number, &mut case);
         case
+    }
+
+    /// Sets alarm limits of the volumes, unless the host does. They come from a random stream of their own: all else is as it was
+    /// before there were any. No minute volume has a lower limit, because missed ticks hide gas from the sum.
+    fn limit(&self, number: u64, case: &mut Case) {
+        let mut rng = ChaCha8Rng::seed_from_u64(!self.seed);
+        rng.set_stream(number);
+        let mut factor =
+            |(least, most)| if chance(&mut rng, LIMITED) { rng.random_range(least..most) } else { 0.0 };
+        let tidal = (factor(LOWEST), factor(HIGHEST));
+        let limits = VolumeLimits { tidal, minute: (0.0, factor(HIGHEST)) };
+        if case.host.is_none_or(|host| host.settings.tidal_volume_high <= 0.0) {
+            case.settings = limits.of(&case.bench, case.settings);
+            case.host = case.host.map(|host| {
+                let settings = limits.of(&case.bench, host.settings);
+                Rhythm { settings, ..host }
+            });
+        }
     }
 }
 

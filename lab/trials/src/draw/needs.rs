@@ -161,13 +161,13 @@ fn can_matter(part: Part, indicated: FaultSet) -> bool {
     }
 }
 
-/// Whether no drawn case can need a part: none restarts the device, stores weights or silences the host, and doubt about a learned
-/// controller names no fault that is drawn.
+/// Whether no drawn case can need a part: none restarts the device, stores weights, silences the host or has a lower limit of the
+/// minute volume, and doubt about a learned controller names no fault that is drawn.
 pub fn is_out_of_reach(part: Part) -> bool {
-    use Fault::{HostSilent, LearnedDistrusted, Restarted, WeightsRefused};
+    use Fault::{HostSilent, LearnedDistrusted, MinuteVolumeLow, Restarted, WeightsRefused};
     matches!(
         part,
-        Part::Monitor(HostSilent | LearnedDistrusted | Restarted | WeightsRefused)
+        Part::Monitor(HostSilent | LearnedDistrusted | MinuteVolumeLow | Restarted | WeightsRefused)
             | Part::Response(Response::Resume)
     )
 }
@@ -175,6 +175,8 @@ pub fn is_out_of_reach(part: Part) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::draw::promise::broken;
+    use progress::Progress;
     use shared::safety::monitors::Monitors;
 
     #[test]
@@ -188,5 +190,30 @@ mod tests {
                 assert!(without == whole, "case {number} without {}", part.name());
             }
         }
+    }
+
+    #[test]
+    fn a_case_needs_the_parts_without_which_it_breaks_a_promise() {
+        let (needing, task) = (Needing::new(3).unwrap(), Progress::silent().task(CASES, 1));
+        let found = needing.unit(3, &task).unwrap().unwrap();
+        let case = needing.generator.draw(3);
+        let fails = |monitors| u64::from(!broken(&case, monitors).unwrap().is_empty());
+        assert_eq!(found.failed, fails(Monitors::ALL));
+        for (part, need) in found.each() {
+            assert_eq!(found.failed + need.broken - need.kept, fails(part.others()), "{}", part.name());
+        }
+        let needed = |part| found.each().any(|(each, need)| each == part && need.broken == 1);
+        assert!(needed(Part::Monitor(Fault::ReadingFrozen)) && !needed(Part::Monitor(Fault::HostSilent)));
+    }
+
+    #[test]
+    fn a_part_is_idle_if_a_case_could_need_it_and_none_does() {
+        let mut found = Needing::new(3).unwrap().nothing();
+        let idle = |found: &Needs, fault| found.idle().any(|part| part == Part::Monitor(fault));
+        assert!(idle(&found, Fault::Leak) && !idle(&found, Fault::HostSilent));
+        found.parts[Fault::Leak as usize].kept = 1;
+        assert!(idle(&found, Fault::Leak));
+        found.parts[Fault::Leak as usize].unnamed = 1;
+        assert!(!idle(&found, Fault::Leak));
     }
 }

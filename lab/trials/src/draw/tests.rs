@@ -102,6 +102,17 @@ fn every_kind_of_fault_is_drawn() {
 }
 
 #[test]
+fn some_alarm_limits_of_the_volumes_are_drawn() {
+    let generator = Generator::new(2).unwrap();
+    let settings: Vec<Settings> = (0..300).map(|number| generator.draw(number).settings).collect();
+    let share = |limit: fn(&Settings) -> f32| settings.iter().filter(|each| limit(each) > 0.0).count() / 30;
+    let limits: [fn(&Settings) -> f32; 3] =
+        [|each| each.tidal_volume_low, |each| each.tidal_volume_high, |each| each.minute_volume_high];
+    assert!(limits.into_iter().all(|limit| (2..=4).contains(&share(limit))));
+    assert!(settings.iter().all(|each| each.minute_volume_low == 0.0));
+}
+
+#[test]
 fn a_case_without_a_fault_keeps_every_promise() {
     assert_eq!(breaks(&case("")), []);
 }

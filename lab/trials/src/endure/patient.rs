@@ -13,7 +13,6 @@ use super::slow_fault;
 use super::ward::Kind;
 use crate::faults::volume::{VolumeLimits, passive_volume_ml};
 use plant::bench::{BenchConfig, Failure, Faulty};
-use plant::prescriptions::field;
 
 /// Standard deviation of the outlet sensor's noise, cmH2O; the family draws that of the airway sensor.
 const NOISE: (f64, f64) = (0.03, 0.2);
@@ -61,9 +60,9 @@ impl Patient {
         leaks(&mut of_leaks, kind, &mut bench, hours);
         let mut changes = operator::changes(&mut of_changes, kind, &bench, settings, hours);
         for change in &mut changes {
-            change.settings = limited(&bench, change.settings);
+            change.settings = LIMITS.of(&bench, change.settings);
         }
-        let settings = limited(&bench, settings);
+        let settings = LIMITS.of(&bench, settings);
         slow_fault::add(&mut of_faults, &mut bench);
         Self { number, newborn: kind.newborn, bench, settings, changes, seed: noise, failure: None }
     }
@@ -111,16 +110,6 @@ impl Patient {
     /// Volume of a breath of the passive lung at these settings once breath follows breath evenly, mL.
     pub fn passive_volume_ml(&self, settings: &Settings) -> f64 {
         passive_volume_ml(&self.bench, settings)
-    }
-}
-
-/// The settings with the alarm limits that an operator would set for this lung.
-fn limited(bench: &BenchConfig, settings: Settings) -> Settings {
-    let limited = LIMITS.of(bench, settings);
-    Settings {
-        tidal_volume_high: limited.tidal_volume_high.min(field("tidal_volume_high").max),
-        minute_volume_high: limited.minute_volume_high.min(field("minute_volume_high").max),
-        ..limited
     }
 }
 

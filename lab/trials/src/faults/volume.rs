@@ -1,6 +1,7 @@
 //! Measures what the lung gets: breaths, their volume, and the longest gap between them.
 
 use plant::bench::BenchConfig;
+use plant::prescriptions::field;
 use shared::settings::Settings;
 
 /// Share of the threshold within which the lung is at its lowest volume.
@@ -118,6 +119,8 @@ impl VolumeLimits {
         let [tidal_volume_low, tidal_volume_high, minute_volume_low, minute_volume_high] =
             [tidal * self.tidal.0, tidal * self.tidal.1, minute * self.minute.0, minute * self.minute.1]
                 .map(|limit| limit as f32);
+        let tidal_volume_high = tidal_volume_high.min(field("tidal_volume_high").max);
+        let minute_volume_high = minute_volume_high.min(field("minute_volume_high").max);
         Settings { tidal_volume_low, tidal_volume_high, minute_volume_low, minute_volume_high, ..settings }
     }
 }
