@@ -32,7 +32,7 @@ Examples:
   lab faults --nominal 10000                            # false alarms with effort and coughs
   lab faults --draw 10000 --seed 7 --save-failures out/failures    # any fault, any machine, any patient
   lab faults --case out/failures/pressure-12.toml       # one of these again
-  lab faults --draw 1000 --mutate                       # how much each monitor and response is needed
+  lab faults --draw 1000 --mutate                       # how many cases need each of them
 
 A row passes if its monitors fire under every seed, ventilation goes on (80 % of the volume of a
 sound machine, no gap longer than two breaths) unless no command can move the gas, the venting
@@ -45,7 +45,9 @@ keep four promises: the pressure is never more than 15 cmH2O above its limit for
 where the valves obey; the patient gets 80 % of what the machine can still give, or a high-priority
 alarm names the cause within two breaths or 15 s, and a loss of a third of the volume is an alarm
 within a minute; nothing is latched unless a valve does not obey; and no high-priority alarm comes
-without a reason. The command fails if a row fails or a case breaks a promise.")]
+without a reason. The command fails if a row fails or a case breaks a promise. A case needs a
+monitor or a response if it breaks a promise without it but not with it, or if no alarm of any
+priority names the cause any more.")]
 pub struct Args {
     /// Virtual bench: a lung as in R20C20, `paper` for its nine lungs, or a TOML file; repeat it for more
     #[arg(long, value_name = "LUNG|FILE", default_value = "paper")]
@@ -59,7 +61,7 @@ pub struct Args {
     /// Leave out this monitor or response, such as reading-frozen or "step to the PID"
     #[arg(long, value_name = "NAME")]
     without: Option<String>,
-    /// Leave out each monitor and each response in turn, and require at least one row, or more drawn cases, to fail
+    /// Leave out each monitor and each response in turn, and require a row to fail, or a drawn case to need it
     #[arg(long, conflicts_with_all = ["without", "keep", "out", "save_failures"])]
     mutate: bool,
     /// Run this many breaths without a fault and require that no alarm occurs
