@@ -307,6 +307,11 @@ impl Expiration {
 }
 
 impl ExpirationState {
+    /// Another sensor is used, which reads this pressure, cmH2O.
+    pub fn sensor_changed(&mut self, pressure: f32) {
+        self.smooth = pressure;
+    }
+
     /// PEEP has risen by this, cmH2O, which may be negative: PIP follows no more of a constant baseline than is above both.
     pub fn peep_changed(&mut self, rise: f32) {
         self.above = math::limit(self.above - rise, 0.0, self.above);

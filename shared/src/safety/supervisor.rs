@@ -260,6 +260,9 @@ impl Supervisor {
             }
             if chosen.follows == Follows::Other {
                 state.breath.sensor_changed();
+                state.expiration.sensor_changed(pressure);
+                // What the gas denied was the other sensor's.
+                state.standing.unseen();
             }
             // What the gas denies ends no inspiration.
             if state.lies {

@@ -506,3 +506,27 @@ fn gas_that_flows_at_the_rooms_pressure_ends_the_inspiration_and_the_expiration_
     assert!(alarms.has(Fault::NoResponse) && !alarms.has(Fault::Disconnection), "the readings are wrong");
     assert!(!alarms.has(Fault::HighPressure));
 }
+
+#[test]
+fn what_the_gas_denies_of_one_sensor_is_not_charged_to_the_next() {
+    let (mut run, breath) = (Run::new(), breath());
+    let (mut airway, mut believed) = (5.0_f32, None);
+    for (number, tick) in (0..7).flat_map(|number| (0..breath.total_ticks()).map(move |tick| (number, tick)))
+    {
+        let inspires = breath.phase(tick) == Phase::Inspiration;
+        let volume = run.state.lung.volume();
+        airway = (5.0 + if inspires && tick > 0 { 0.05 * volume } else { 0.0 }).max(airway - 0.1);
+        let flow = match tick {
+            0..1000 => run.state.lung.valve_flow(),
+            1000..1500 => -2e-3 * volume,
+            _ => 0.0,
+        };
+        let stands = number > 3 || (number == 3 && tick >= 2000);
+        let outlet = if stands { 40.0 } else { airway };
+        let readings = Readings { airway: airway + dither(tick), outlet: outlet + dither(tick), flow };
+        believed = run.check_all(readings, Some(tick));
+        run.filter(ControlOutput::plain(30.0), !inspires);
+        run.supervisor.end_tick(&mut run.state, &breath.at(tick), false);
+    }
+    assert!(believed.is_some_and(|pressure| pressure < 10.0), "{believed:?}");
+}
