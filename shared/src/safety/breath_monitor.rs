@@ -371,7 +371,8 @@ impl BreathMonitor {
         // A valve that gives none of its gas leaves the tube without a pressure, too.
         let least = TELLING_GAS.max(PASSES * input.share * input.volume);
         let lost = |gas: f32| gas >= least && input.returned < COMES_BACK * gas + NOISE;
-        open && input.inspired.is_some_and(lost)
+        // What refills a lung that a strain has emptied does not come back.
+        open && input.inspired.is_some_and(|gas| lost(gas - input.refill))
     }
 
     /// Checks an expiration that an effort ends early at this PEEP, cmH2O, by its pressure before that.

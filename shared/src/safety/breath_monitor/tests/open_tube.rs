@@ -44,6 +44,21 @@ fn gas_that_does_not_come_back_from_the_rooms_pressure_shows_an_open_tube_at_any
 }
 
 #[test]
+fn gas_that_refills_the_lung_need_not_come_back() {
+    let (breath, monitor) = (breath(), BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL));
+    let found = |refill: f32| {
+        let mut state = BreathState::default();
+        (0..breath.total_ticks()).any(|tick| {
+            let input = GOOD.at(&breath, tick);
+            let input = BreathInput { pressure: 0.2, inspired: Some(800.0), refill, ..input };
+            monitor.check(&mut state, &input) == Some(Fault::Disconnection)
+        })
+    };
+    // Of the 400 mL that the valve has given, half reaches the tube.
+    assert!(found(599.0) && !found(601.0));
+}
+
+#[test]
 fn gas_has_two_seconds_to_come_back() {
     let settings = Settings { peep: 0.0, rate: 4.0, ..paper_settings(25.0) };
     let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
