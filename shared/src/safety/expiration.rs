@@ -70,7 +70,7 @@ const SAMPLES: usize = 5;
 /// Samples that may belong to the effort that ends an expiration.
 const OF_EFFORT: usize = 1;
 /// Change of the pressure since the sample before those of an effort that an effort causes, cmH2O.
-const DRAWN: f32 = 1.0;
+pub const DRAWN: f32 = 1.0;
 /// Largest such change without a flow, cmH2O.
 const CONSTANT: f32 = 0.5;
 /// Share of the fall that the flow's own predicts behind a resistance from which the pressure falls with the flow, and the smallest

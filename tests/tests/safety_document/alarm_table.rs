@@ -7,7 +7,7 @@ use super::figures::{ms, number, percent};
 use shared::safety::alarms::{ALARMS, Fault};
 use shared::safety::expected::{ABOVE, AWAY};
 use shared::safety::host::SILENCE_MAX;
-use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES};
+use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES, LONG_BREATH};
 use shared::safety::plateau::{self, APART_BREATHS, DOUBTFUL};
 use shared::safety::source::{AGREE, AGREED_BREATHS, APART, DOUBTFUL_BREATHS, FAR_APART, MOVED, SOUND_AGAIN};
 use shared::safety::volumes::{self, MEASURED};
@@ -206,10 +206,11 @@ fn baselines() -> Vec<Conditions> {
         number(expiration::BELOW_LIMIT)
     );
     let low = format!(
-        "more than {} cmH2O below PEEP at the end of {} breaths in a row, none of them cut at the limit, or \
-         {} in a row with a command of more than {} % above the bias to hold PEEP, without an effort",
+        "more than {} cmH2O below PEEP at the end of {} breaths in a row, none of them cut at the limit or \
+         drawn down by more than {} within 0.25 s, or {} in a row with a command of more than {} % above the bias to hold PEEP, without an effort",
         number(breath::BELOW_PEEP),
         breath::LOW_BREATHS,
+        number(expiration::DRAWN),
         expiration::LEAKS,
         number(expiration::HELD)
     );
@@ -228,8 +229,10 @@ fn inspirations() -> Vec<Conditions> {
     );
     let disconnection = format!(
         "{} s of inspirations ({} s with a capped command) at less than {} % of PEEP and more than {} cmH2O \
-         below it, with a command above {} %, unless the flow sensor shows no flow to the patient; or an inspiration that ends at such a pressure, or below {} \
-         cmH2O, less than {} % of whose gas comes back by the end of the breath, or within {} s; until the \
+         below it, with a command above {} %, unless the flow sensor shows no flow to the patient; or an inspiration \
+         that ends at such a pressure, or below {} cmH2O, less than {} % of whose gas comes back by the end \
+         of the breath, or within {} s, if that is at least {} % of the valve's and no strain has pressed it \
+         out before; until the \
          patient is back, the PID probes with a capped command",
         number(breath::DISCONNECTED),
         number(breath::SLOW_DISCONNECTED),
@@ -238,7 +241,8 @@ fn inspirations() -> Vec<Conditions> {
         number(breath::FILLING),
         number(breath::ROOM),
         percent(breath::COMES_BACK),
-        number(breath::RETURNS)
+        number(breath::RETURNS),
+        percent(breath::PASSES)
     );
     let occlusion = format!(
         "in {} breaths in a row less than {} % of the volume per pressure rise of the last good breaths, \
@@ -270,9 +274,12 @@ fn ladder() -> Vec<Conditions> {
         "{} control ticks missed within a breath (the PID controls from the first one on)",
         supervisor::MISSED_MAX
     );
-    let distrusted =
-        format!("{LEARNED_STRIKES} breaths in a row end at the pressure limit under the selected controller");
-    let capped = "a breath ends at the pressure limit under the PID".to_owned();
+    let distrusted = format!(
+        "{LEARNED_STRIKES} breaths in a row, or one of {} s or more, end at the pressure limit under the \
+         selected controller because of their gas",
+        number(LONG_BREATH)
+    );
+    let capped = "a breath ends at the pressure limit under the PID because of its gas".to_owned();
     let steps = [
         (Fault::MissedTicks, missed),
         (Fault::LearnedDistrusted, distrusted),
@@ -315,7 +322,7 @@ fn gas() -> Vec<Conditions> {
     let leak = format!(
         "less than {} % of the inspired volume comes out in {} breaths in a row, or less than {} % if \
          holding PEEP takes a command of more than {} % above the bias; not if more flows out at the end of \
-         each of them than of the one before: the lung fills",
+         each of them than of the one before, or a strain has pressed the gas out before: the lung fills",
         percent(expiration::OPEN),
         expiration::LEAKS,
         percent(expiration::TIGHT),
