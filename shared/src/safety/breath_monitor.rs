@@ -1,6 +1,7 @@
 //! Checks each breath: once per phase, from pressure and command at its end; for a lost airway pressure in every tick.
 
 use super::alarms::Fault;
+use super::expiration::DRAWN;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::settling::{Settling, UNCHECKED_BREATHS, exchange_time, filling_time};
 use super::volumes::BreathVolumes;
@@ -233,8 +234,8 @@ pub struct BreathInput<'a> {
     pub flow: Option<f32>,
     /// Whether the two pressure sensors differ.
     pub doubtful: bool,
-    /// Whether an effort draws the pressure of an expiration down, or lets it go.
-    pub drawn: bool,
+    /// Recent change of the pressure at the end of an expiration, cmH2O.
+    pub moved: f32,
     /// Volumes that went in and came out in the last breath, mL; none if the flow was not measured.
     pub last: Option<BreathVolumes>,
 }
@@ -354,7 +355,7 @@ impl BreathMonitor {
         }
         if !inspires {
             let falls = state.rest.fall().is_some_and(|[fall]| fall > FALLS);
-            return self.expired(state, state.rest.last(), (peep, falls), cut || input.drawn);
+            return self.expired(state, state.rest.last(), (peep, falls), cut || input.moved > DRAWN);
         }
         let (pressure, command) = (state.pressure.take(), state.command.take());
         if cut {

@@ -359,9 +359,9 @@ impl ExpirationState {
         self.emptied > 1 || self.ended >= EVEN
     }
 
-    /// Whether the pressure has moved since the last but one sample of the expiration: an effort draws it, or lets it go.
-    pub fn is_drawn(&self) -> bool {
-        (self.smooth - self.sample_before(OF_EFFORT).pressure).abs() > DRAWN
+    /// Change of the pressure since the last but one sample of the expiration, cmH2O.
+    pub fn moved(&self) -> f32 {
+        (self.smooth - self.sample_before(OF_EFFORT).pressure).abs()
     }
 
     /// Expirations in a row that ended above PEEP.

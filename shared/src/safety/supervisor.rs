@@ -484,7 +484,7 @@ impl Supervisor {
             leaks: state.volumes.expired_share().is_some_and(|share| share < TIGHT),
             flow,
             doubtful,
-            drawn: state.expiration.is_drawn(),
+            moved: if moment.left() == 1 { state.expiration.moved() } else { 0.0 },
             last: state.volumes.exchange(),
         };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {

@@ -68,7 +68,7 @@ impl Seen {
             leaks: false,
             flow: None,
             doubtful: false,
-            drawn: false,
+            moved: 0.0,
             last: None,
         }
     }
@@ -139,7 +139,8 @@ fn a_lost_peep_is_found_in_its_third_breath() {
 #[test]
 fn what_an_effort_draws_below_peep_is_no_lost_peep() {
     let low = Seen { baseline: 2.5, ..GOOD };
-    assert_eq!(complaint_with(&[low; 9], |input| input.drawn = true), None);
+    assert_eq!(complaint_with(&[low; 9], |input| input.moved = 1.1), None);
+    assert_eq!(complaint_with(&[low; 9], |input| input.moved = 1.0), Some((2, Fault::BaselineLow)));
 }
 
 #[test]
