@@ -1,7 +1,6 @@
 //! Checks each breath: once per phase, from pressure and command at its end; for a lost airway pressure in every tick.
 
 use super::alarms::Fault;
-use super::expiration::DRAWN;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::settling::{Settling, UNCHECKED_BREATHS, exchange_time, filling_time};
 use super::volumes::BreathVolumes;
@@ -17,6 +16,8 @@ pub const BELOW_PEEP: f32 = 2.0;
 const REFILLS: f32 = 0.2;
 /// Fall of the pressure from one window at the end of an expiration to the next that shows a lung which still empties, cmH2O.
 const FALLS: f32 = 0.1;
+/// Recent change of the pressure with which an effort draws it below PEEP, or lets it go, cmH2O.
+pub const DRAWN: f32 = 1.0;
 /// Pressure below PEEP that does not prove a sound baseline while PEEP changes, cmH2O.
 const NEARLY_LOW: f32 = 1.0;
 /// Fraction of the rise from PEEP to PIP that an inspiration must reach.

@@ -67,10 +67,9 @@ pub const LONGER: u32 = 2;
 const SAMPLED: f32 = 0.125;
 /// Samples that are kept: a constant pressure has changed little since the oldest of them.
 const SAMPLES: usize = 5;
-/// Samples that may belong to the effort that ends an expiration.
+/// Samples that may belong to the effort that ends an expiration, and the longest time since the one before them, s.
 const OF_EFFORT: usize = 1;
-/// Change of the pressure since the sample before those of an effort that an effort causes, cmH2O.
-pub const DRAWN: f32 = 1.0;
+pub const RECENT: f32 = SAMPLED * (OF_EFFORT + 1) as f32;
 /// Largest such change without a flow, cmH2O.
 const CONSTANT: f32 = 0.5;
 /// Share of the fall that the flow's own predicts behind a resistance from which the pressure falls with the flow, and the smallest
@@ -359,7 +358,7 @@ impl ExpirationState {
         self.emptied > 1 || self.ended >= EVEN
     }
 
-    /// Change of the pressure since the last but one sample of the expiration, cmH2O.
+    /// Change of the pressure since the last but one sample of the expiration, so within [`RECENT`], cmH2O.
     pub fn moved(&self) -> f32 {
         (self.smooth - self.sample_before(OF_EFFORT).pressure).abs()
     }

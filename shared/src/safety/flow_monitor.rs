@@ -154,7 +154,7 @@ pub struct FlowState {
     only_out: u32,
     blocked: u32,
     lost: Option<Loss>,
-    /// Time since the sensor has last been wrong, as far as its breaths tell something, s.
+    /// Time for which no breath has contradicted the sensor, s.
     sound: f32,
 }
 

@@ -207,10 +207,11 @@ fn baselines() -> Vec<Conditions> {
     );
     let low = format!(
         "more than {} cmH2O below PEEP at the end of {} breaths in a row, none of them cut at the limit or \
-         drawn down by more than {} within 0.25 s, or {} in a row with a command of more than {} % above the bias to hold PEEP, without an effort",
+         drawn down by more than {} within {} s, or {} in a row with a command of more than {} % above the bias to hold PEEP, without an effort",
         number(breath::BELOW_PEEP),
         breath::LOW_BREATHS,
-        number(expiration::DRAWN),
+        number(breath::DRAWN),
+        number(expiration::RECENT),
         expiration::LEAKS,
         number(expiration::HELD)
     );

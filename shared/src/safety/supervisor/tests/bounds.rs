@@ -508,6 +508,37 @@ fn gas_that_flows_at_the_rooms_pressure_ends_the_inspiration_and_the_expiration_
 }
 
 #[test]
+fn a_pressure_that_an_effort_draws_down_at_the_end_of_expirations_is_no_lost_peep() {
+    let alarmed = |from: u32| {
+        let mut run = Run::new();
+        for tick in (0..4).flat_map(|_| 0..breath().total_ticks()) {
+            let inspires = breath().phase(tick) == Phase::Inspiration;
+            let pressure = match tick {
+                _ if inspires => 20.0,
+                tick if tick >= from => 2.0,
+                _ => 5.0,
+            };
+            run.check_all(Readings { flow: 0.0, ..Readings::from(pressure + dither(tick)) }, Some(tick));
+            run.filter(ControlOutput::plain(0.0), !inspires);
+        }
+        run.state.indications().present().has(Fault::BaselineLow)
+    };
+    assert!(alarmed(2500) && !alarmed(2850));
+}
+
+#[test]
+fn at_a_slow_rate_one_breath_at_the_limit_is_a_strike_that_counts() {
+    let level = |rate: f32| {
+        let mut run = Run::new();
+        run.state.settings = Some(Settings { rate, ..paper_settings(20.0) });
+        run.state.cut = Cut::ByGas;
+        run.supervisor.start_breath(&mut run.state, Some(5.0), &paper_settings(20.0));
+        run.state.level()
+    };
+    assert_eq!([20.0, 10.0].map(level), [Level::Learned, Level::Pid]);
+}
+
+#[test]
 fn what_the_gas_denies_of_one_sensor_is_not_charged_to_the_next() {
     let (mut run, breath) = (Run::new(), breath());
     let (mut airway, mut believed) = (5.0_f32, None);

@@ -196,6 +196,19 @@ fn small_breaths_whose_gas_stays_in_the_lung_are_no_leak() {
 }
 
 #[test]
+fn gas_that_a_lung_takes_again_after_a_strain_is_no_leak() {
+    let refills = |pressed: f32| {
+        let mut patient = Patient::new(limited(0.0));
+        assert_eq!(patient.breathe(5, 400.0), []);
+        patient.kept = -pressed;
+        patient.breathe(1, 400.0);
+        patient.kept = 250.0;
+        patient.breathe(6, 400.0)
+    };
+    assert_eq!((refills(1500.0), refills(0.0)), (Vec::new(), Vec::from([Fault::Leak])));
+}
+
+#[test]
 fn without_a_pressure_sensor_the_flow_sensor_corrects_the_commands() {
     // 0.3 L/s in 460 ms: 28 mL of them are missing at four fifths.
     let (command, volume) = blind_at(1.0, Monitors::ALL);
