@@ -67,8 +67,9 @@ pub const LONGER: u32 = 2;
 const SAMPLED: f32 = 0.125;
 /// Samples that are kept: a constant pressure has changed little since the oldest of them.
 const SAMPLES: usize = 5;
-/// Samples that may belong to the effort that ends an expiration, and the longest time since the one before them, s.
+/// Samples that may belong to the effort that ends an expiration.
 const OF_EFFORT: usize = 1;
+/// Longest time since the sample before those, s.
 pub const RECENT: f32 = SAMPLED * (OF_EFFORT + 1) as f32;
 /// Largest such change without a flow, cmH2O.
 const CONSTANT: f32 = 0.5;
