@@ -244,8 +244,9 @@ fn large_leaks(history: &History) -> usize {
 
 /// Whether a breath has less than a share of what the patient had in the minutes before.
 fn smaller(breath: &BreathTruth, share: f64) -> bool {
-    let volume = breath.expired.max(0.5 * (breath.inspired + breath.expired));
-    breath.usual.is_some_and(|usual| breath.flow.shown(volume).0 < share * (1.0 + VOLUME_TOLERANCE) * usual)
+    breath
+        .usual
+        .is_some_and(|usual| breath.flow.shown(breath.given()).0 < share * (1.0 + VOLUME_TOLERANCE) * usual)
 }
 
 /// Whether a volume is below its limit.

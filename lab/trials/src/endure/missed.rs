@@ -79,7 +79,7 @@ impl Condition {
             Self::Leak => breath.leak > LEAK,
             Self::BaselineHigh => baseline > breath.peep() + BASELINE,
             Self::AboveLimit => breath.peak > breath.limit() + ABOVE_LIMIT,
-            Self::TidalVolumeLow => low(tidal + doubt, settings.tidal_volume_low),
+            Self::TidalVolumeLow => low(breath.given() + doubt, settings.tidal_volume_low),
             Self::TidalVolumeHigh => high(tidal - doubt, settings.tidal_volume_high),
             Self::MinuteVolumeLow => minute.is_some_and(|volume| low(volume + per_minute, lowest)),
             Self::MinuteVolumeHigh => minute.is_some_and(|volume| high(volume - per_minute, highest)),
@@ -97,8 +97,11 @@ impl Condition {
             }
             Self::TidalVolumeLow => &[Fault::TidalVolumeLow, Fault::FlowSensorLost],
             Self::TidalVolumeHigh => &[Fault::TidalVolumeHigh, Fault::FlowSensorLost],
-            Self::MinuteVolumeLow => &[Fault::MinuteVolumeLow, Fault::FlowSensorLost],
-            Self::MinuteVolumeHigh => &[Fault::MinuteVolumeHigh, Fault::FlowSensorLost],
+            // Breaths that are each too small, or too large, tell the same.
+            Self::MinuteVolumeLow => &[Fault::MinuteVolumeLow, Fault::TidalVolumeLow, Fault::FlowSensorLost],
+            Self::MinuteVolumeHigh => {
+                &[Fault::MinuteVolumeHigh, Fault::TidalVolumeHigh, Fault::FlowSensorLost]
+            }
             Self::Apnoea => &[Fault::Apnoea, Fault::FlowSensorLost],
         }
     }
@@ -201,6 +204,17 @@ mod tests {
             let unsettled = BreathTruth { settled: false, ..breath };
             assert_eq!(missed(&unsettled, &[], 5 * LASTS), []);
         }
+        let (small, large) = (volumes(400.0, 4.7), volumes(400.0, 12.1));
+        assert_eq!(missed(&small, &[Fault::TidalVolumeLow], LASTS), [], "which tells the same");
+        assert_eq!(missed(&large, &[Fault::TidalVolumeHigh], LASTS), []);
+    }
+
+    #[test]
+    fn a_lung_that_refills_after_a_strain_is_given_gas() {
+        let settings = Settings { tidal_volume_low: 100.0, ..Settings::default() };
+        let breath = |inspired| BreathTruth { inspired, expired: 12.0, ..limited(&settings) };
+        assert_eq!(missed(&breath(150.0), &[], LASTS), []);
+        assert_eq!(missed(&breath(140.0), &[], LASTS), [Condition::TidalVolumeLow]);
     }
 
     #[test]

@@ -170,6 +170,11 @@ impl BreathTruth {
         self.sums.leaked
     }
 
+    /// What the lung is given and gives out again, mL: refilling after a strain, it gives out hardly any.
+    pub fn given(&self) -> f64 {
+        self.expired.max(0.5 * (self.inspired + self.expired))
+    }
+
     /// Length, s.
     pub fn seconds(&self) -> f64 {
         1e-3 * f64::from(self.sums.ticks)
