@@ -35,6 +35,8 @@ pub const PLAUSIBLE: (f32, f32) = (0.5, 1.5);
 /// Highest multiple of the good breaths' volume that the valve gives by its model while the sensor shows less: the supply may fall to
 /// [`LEAST_MEASURED`].
 const MOST_OF_MODEL: f32 = 1.0 / LEAST_MEASURED;
+/// Share of the good breaths' gas of which less is little.
+pub const LITTLE: f32 = 0.5;
 /// Gas that stays in the circuit, mL.
 pub const IN_CIRCUIT: f32 = 50.0;
 
@@ -142,6 +144,11 @@ impl Backup {
     pub fn is_flow_sound(&self) -> bool {
         self.measured >= PLAUSIBLE.0 * self.modelled - IN_CIRCUIT
             && self.measured <= PLAUSIBLE.1 * self.modelled + IN_CIRCUIT
+    }
+
+    /// Whether the valve has given but little of the good breaths' gas in the running inspiration.
+    pub fn has_given_little(&self) -> bool {
+        self.good.is_some_and(|good| self.modelled < LITTLE * good.modelled)
     }
 
     /// Whether the flow sensor has shown far less gas in the running inspiration than the valve's model.

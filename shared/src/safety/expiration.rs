@@ -54,6 +54,8 @@ pub const OPEN: f32 = 0.6;
 /// Compensation of a sag throughout a breath above which PEEP is held by flow alone, percent: the PEEP valve is stuck open,
 /// or the flow sensor does not show the leak.
 pub const HELD: f32 = 20.0;
+/// Pressure below PEEP at the end of such a breath, cmH2O: flow alone raises it no further than to [`SAG`] below.
+pub const HELD_BELOW: f32 = 0.5 * SAG;
 /// Rise of the compensation in an expiration that an effort ends of which no more is kept, percent: a leak needs a little more in
 /// each breath, an effort much for a moment.
 const KEPT: f32 = 5.0;
@@ -112,6 +114,8 @@ pub struct ExpirationState {
     /// Breaths in a row that indicate a leak, and those whose PEEP flow alone holds.
     leaks: u32,
     held: u32,
+    /// Whether the pressure is below PEEP at the end of an expiration, before an effort.
+    sags: bool,
     /// How many of the breaths in a row that indicate a leak a lung which fills explains.
     fills: u32,
     /// Lowest compensation in the breath: an effort raises it for a moment only.
@@ -162,6 +166,11 @@ pub enum Missing {
     Explained,
 }
 
+/// Whether a pressure shows that PEEP holds, cmH2O: then flow holds it no more than a sound sensor's error.
+pub fn holds_peep(pressure: f32, peep: f32) -> bool {
+    pressure > peep - HELD_BELOW
+}
+
 impl Expiration {
     /// For a control period in microseconds; without the monitor of the baseline no expiration is lengthened.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
@@ -186,7 +195,7 @@ impl Expiration {
         moment: &Moment,
         pressure: f32,
         flow: f32,
-        doubtful: bool,
+        doubtful: impl FnOnce() -> bool,
     ) {
         let settings = moment.settings();
         state.smooth += self.smoothing * (pressure - state.smooth);
@@ -198,7 +207,7 @@ impl Expiration {
         }
         let sag = settings.peep - SAG - pressure;
         if moment.phase == Phase::Expiration {
-            let holds = sag > 0.0 && !doubtful && self.responses.has(Response::LeakCompensation);
+            let holds = sag > 0.0 && !doubtful() && self.responses.has(Response::LeakCompensation);
             let rate = if holds { RISE * sag } else { -RELEASE };
             state.compensation = math::limit(state.compensation + rate * self.period, 0.0, BOUND);
             state.lowest = state.lowest.min(state.compensation);
@@ -214,6 +223,7 @@ impl Expiration {
         let above = state.smooth - peep;
         state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         let now = Sample { pressure: state.smooth, flow };
+        state.sags = !holds_peep(state.smooth, peep);
         state.note_outflow(flow);
         state.settle(now, peep);
         if above > SURPLUS_PRESSURE {
@@ -234,6 +244,7 @@ impl Expiration {
             state.flow_is_too_much();
         }
         let before = state.sample_before(OF_EFFORT);
+        state.sags = !holds_peep(before.pressure, peep);
         state.note_outflow(before.flow);
         let above = if emptied { before.pressure - peep } else { above };
         let incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
@@ -271,7 +282,7 @@ impl Expiration {
             // A lung that fills keeps gas in all of them.
             state.fills += u32::from(missing == Missing::Kept);
         }
-        state.held = in_a_row(state.held, state.lowest > HELD);
+        state.held = in_a_row(state.held, state.sags && state.lowest > HELD);
         state.lowest = state.compensation;
         if state.leaks >= self.leaks && state.fills < state.leaks {
             return Some(Fault::Leak);

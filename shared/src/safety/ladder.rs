@@ -10,10 +10,8 @@ use super::alarms::Fault;
 
 /// Highest command of the capped PID, percent.
 pub const CAP: f32 = 40.0;
-/// Consecutive strikes at which the PID replaces the learned controller.
+/// Consecutive strikes at which the PID replaces the learned controller, unless one has hardly let any gas in.
 pub const LEARNED_STRIKES: u32 = 2;
-/// Length of a breath, s, from which one is enough: at a slow rate there is no time for another.
-pub const LONG_BREATH: f32 = 6.0;
 /// Consecutive clean breaths that lead one level up for the first time; each step up doubles their number.
 pub const CLEAN_BREATHS: u32 = 5;
 /// Doublings of [`CLEAN_BREATHS`]: in the end 80 breaths, so that a controller that fails every time has few chances to.
@@ -55,17 +53,17 @@ impl Ladder {
         self.clean = 0;
     }
 
-    /// Counts a breath of a length, s, that ended at the pressure limit (`cut`) or cleanly; returns the fault to raise.
-    pub fn breath_ended(&mut self, cut: bool, seconds: f32) -> Option<Fault> {
-        let fault = if cut { self.strike(seconds) } else { self.clean_breath() };
+    /// Counts a breath that ended at the pressure limit (`cut`), perhaps with little of its gas, or cleanly; returns the fault to raise.
+    pub fn breath_ended(&mut self, cut: bool, little: bool) -> Option<Fault> {
+        let fault = if cut { self.strike(little) } else { self.clean_breath() };
         debug_assert!(self.strikes == 0 || self.clean == 0, "one kind of breath ends a row of the other");
         fault
     }
 
-    fn strike(&mut self, seconds: f32) -> Option<Fault> {
+    fn strike(&mut self, little: bool) -> Option<Fault> {
         (self.strikes, self.clean) = (self.strikes + 1, 0);
         match self.level {
-            Level::Learned if self.strikes < LEARNED_STRIKES && seconds < LONG_BREATH => None,
+            Level::Learned if self.strikes < LEARNED_STRIKES && !little => None,
             Level::Learned => {
                 self.level = Level::Pid;
                 Some(Fault::LearnedDistrusted)
@@ -98,7 +96,7 @@ mod tests {
 
     fn after(breaths: &[bool]) -> (Ladder, Vec<Fault>) {
         let mut ladder = Ladder::default();
-        let told = breaths.iter().filter_map(|cut| ladder.breath_ended(*cut, 3.0)).collect();
+        let told = breaths.iter().filter_map(|cut| ladder.breath_ended(*cut, false)).collect();
         (ladder, told)
     }
 
@@ -116,22 +114,22 @@ mod tests {
     }
 
     #[test]
-    fn one_long_breath_at_the_limit_is_enough() {
-        let told = |seconds| Ladder::default().breath_ended(true, seconds);
-        assert_eq!((told(5.9), told(LONG_BREATH)), (None, Some(Fault::LearnedDistrusted)));
+    fn one_breath_at_the_limit_with_little_gas_is_enough() {
+        let told = |little| Ladder::default().breath_ended(true, little);
+        assert_eq!((told(false), told(true)), (None, Some(Fault::LearnedDistrusted)));
     }
 
     #[test]
     fn clean_breaths_lead_up_again_each_time_after_twice_as_many() {
         let mut ladder = Ladder::default();
         for wanted in [5, 10, 20, 40, 80, 80] {
-            ladder.breath_ended(true, 3.0);
-            ladder.breath_ended(true, 3.0);
+            ladder.breath_ended(true, false);
+            ladder.breath_ended(true, false);
             for _ in 1..wanted {
-                ladder.breath_ended(false, 3.0);
+                ladder.breath_ended(false, false);
             }
             assert_eq!(ladder.level(), Level::Pid, "before {wanted}");
-            ladder.breath_ended(false, 3.0);
+            ladder.breath_ended(false, false);
             assert_eq!(ladder.level(), Level::Learned, "after {wanted}");
         }
     }
@@ -142,7 +140,7 @@ mod tests {
             let mut ladder = Ladder::default();
             for cut in breaths {
                 let before = ladder.level();
-                ladder.breath_ended(cut, 3.0);
+                ladder.breath_ended(cut, false);
                 prop_assert!(!cut || ladder.level() >= before);
             }
         }

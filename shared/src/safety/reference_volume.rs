@@ -103,7 +103,7 @@ pub struct ReferenceVolume {
 /// The running group.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Group {
-    /// The breath that is largest for its settings.
+    /// The largest breath: it tells the most of other settings, which may only take from it.
     best: Driven,
     breaths: u8,
     seconds: f32,
@@ -179,7 +179,7 @@ impl ReferenceVolume {
         group.reaches.0 |= most >= FALLS * expected;
         group.reaches.1 |= most >= LOST * expected;
         group.leaks |= breath.leaked > LEAKY * breath.inspired;
-        if group.breaths == 0 || least > group.best.least_at(&drive) {
+        if group.breaths == 0 || least > group.best.volume {
             group.best = Driven { volume: least, drive };
         }
         (group.breaths, group.seconds) = (group.breaths.saturating_add(1), group.seconds + seconds);
@@ -270,8 +270,7 @@ mod tests {
         fn breath_lasting(&mut self, seconds: f32, inspired: f32, expired: f32) -> Option<Fault> {
             let ticks = (100.0 * seconds + 0.5) as u32;
             for tick in 0..ticks {
-                // The play of the measurement takes 1 mL.
-                let flow = if tick < ticks / 2 { inspired + 1.0 } else { -expired - 1.0 };
+                let flow = if tick < ticks / 2 { inspired } else { -expired };
                 self.volumes.add(flow / 10.0 / (ticks / 2) as f32, 9.0, 0.0, 0.01);
             }
             self.volumes.start_breath();

@@ -425,7 +425,7 @@ impl SourceState {
     }
 
     /// Whether a sensor has failed a check, so that the two cannot be compared.
-    fn is_one_lost(&self) -> bool {
+    pub fn is_one_lost(&self) -> bool {
         self.airway.condition == Condition::Lost || self.outlet.condition == Condition::Lost
     }
 

@@ -21,13 +21,14 @@ use super::alarms::{Action, Fault};
 use super::backup::Backup;
 use super::breath_monitor::{ABOVE_PEEP, BreathInput, BreathMonitor, BreathState, Cap};
 use super::expected::Expected;
-use super::expiration::{Expiration, ExpirationState, TIGHT};
+use super::expiration::{Expiration, ExpirationState, TIGHT, holds_peep};
 use super::filter::ValveCommand;
 use super::flow_monitor::{FlowMonitor, FlowState};
 use super::indications::Indications;
 use super::ladder::{CAP, Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::{Monitors, in_a_row, ticks};
+use super::plateau::TUBE;
 use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::reference_volume::ReferenceVolume;
 use super::responses::{Response, Responses};
@@ -50,6 +51,8 @@ pub const RESIDUAL_SLEW: f32 = 25_000.0;
 pub const JUDGED: u32 = 6;
 /// Missed ticks within a breath that raise an alarm.
 pub const MISSED_MAX: u32 = 5;
+/// Breaths in a row that miss a tick at which the alarm is raised: the PID would control all of them in silence.
+pub const MISSED_BREATHS: u32 = 3;
 /// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure.
 pub const CUTS_MAX: u32 = 3;
 /// Distance of the other sensor below a pressure at its limit with which it denies that, cmH2O.
@@ -129,7 +132,9 @@ pub struct SupervisorState {
     cut: Cut,
     /// Breaths in a row that were cut.
     cuts: u32,
+    /// Ticks missed in the running breath, and breaths in a row that missed some.
     missed: u32,
+    misses: u32,
     /// Learned part of the last command, percent.
     learned: f32,
     applied: f32,
@@ -199,11 +204,13 @@ impl Supervisor {
 
     /// Reports ticks missed since the last one.
     pub fn missed(&self, state: &mut SupervisorState, ticks: u32) {
-        if ticks > 0 {
-            state.pressure.interrupted();
+        if ticks == 0 {
+            return;
         }
+        state.pressure.interrupted();
+        state.misses = state.misses.saturating_add(u32::from(state.missed == 0));
         state.missed = state.missed.saturating_add(ticks);
-        if state.missed >= MISSED_MAX {
+        if state.missed >= MISSED_MAX || state.misses >= MISSED_BREATHS {
             self.report(state, Fault::MissedTicks);
         }
     }
@@ -340,10 +347,12 @@ impl Supervisor {
                 if state.backup.lacks_gas() {
                     state.flow.inspired(Ordering::Less);
                 }
-                let by_gas = state.lung.explains(0.5 * (limit + settings.pip)) || state.shows_gas(flow);
-                state.cut = match (denied(limit, DENIED), by_gas) {
-                    (true, _) => Cut::Denied,
-                    (_, true) => Cut::ByGas,
+                let by_first = state.backup.has_given_little() && state.shows_gas(flow);
+                let by_gas = state.lung.explains(0.5 * (limit + settings.pip));
+                state.cut = match (denied(limit, DENIED), by_first, by_gas) {
+                    (true, ..) => Cut::Denied,
+                    (_, true, _) => Cut::ByFirstGas,
+                    (.., true) => Cut::ByGas,
                     _ => Cut::ByPatient,
                 };
                 if state.open() == 0 {
@@ -424,6 +433,9 @@ impl Supervisor {
             self.triggered(state, moment);
         }
         let ends = effort || (due && !self.expiration.goes_on(&state.expiration, &moment.next()));
+        // A lung that has hardly taken gas has nothing to give out: the next controller need not wait.
+        let again = state.cut == Cut::ByFirstGas && state.open() >= self.emptied;
+        let ends = ends || (again && self.level(state) < Level::CappedPid);
         if ends {
             state.start = if effort { Start::Effort } else { Start::Clock };
         }
@@ -490,7 +502,13 @@ impl Supervisor {
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.report(state, fault);
         }
-        let unsure = doubtful || state.breath.is_disconnected();
+        let (breath, source, lung) = (&state.breath, &state.source, &state.lung);
+        let denied = || {
+            // On its way from the outlet to the airway, the flow loses some pressure in the tube.
+            let higher = readings.airway.max(readings.outlet) - TUBE * lung.valve_flow();
+            !source.is_one_lost() && holds_peep(higher, moment.settings().peep)
+        };
+        let unsure = || doubtful || breath.is_disconnected() || denied();
         self.expiration.observe(&mut state.expiration, moment, pressure, state.volumes.smooth(), unsure);
         state.standing.observe(moment, state.expiration.smooth());
         if moment.ends_inspiration() {

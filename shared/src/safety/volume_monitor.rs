@@ -12,7 +12,7 @@ use super::volumes::{BreathVolumes, Volumes};
 use crate::breath::period_s;
 use crate::settings::Settings;
 
-/// Breaths in a row with a tidal volume outside its limits that raise the alarm.
+/// Breaths in a row with a tidal or minute volume outside its limits that raise the alarm: so many show that the leak has changed.
 pub const BREATHS: u32 = 3;
 /// Share of the leak's gas by which the volumes are in doubt: a leak is known to about so much of its size.
 pub const DOUBT: f32 = 0.03;
@@ -47,8 +47,9 @@ pub struct VolumeState {
     /// Breaths in a row with a tidal volume below and above its limits.
     low: u32,
     high: u32,
-    /// Means over the last breaths.
+    /// Means over the last breaths, and the breaths in a row in which they are outside their limits.
     mean: MinuteVolumes,
+    outside: u32,
     /// The time that they cover, and the time since breaths have been measured, s, up to [`AVERAGED`].
     covers: f32,
     measured: f32,
@@ -123,7 +124,7 @@ impl MinuteVolumes {
 impl VolumeState {
     /// The leak has changed: the volumes of the last breath, and of those before, were measured with a wrong one.
     pub fn leak_changed(&mut self) {
-        (self.low, self.high, self.covers, self.doubtful) = (0, 0, 0.0, true);
+        (self.low, self.high, self.outside, self.covers, self.doubtful) = (0, 0, 0, 0.0, true);
     }
 }
 
@@ -204,10 +205,10 @@ fn minute_volume(
     debug_assert!(state.covers <= state.measured, "what begins to be measured restarts both");
     // A plain mean at first, so that no breath counts more than another.
     state.mean.add(MinuteVolumes::of(breath, seconds, limits), seconds / state.covers);
-    if state.measured < AVERAGED || state.covers < RESTARTED {
-        return None;
-    }
-    state.mean.finding(limits.1 > 0.0)
+    let finding = state.mean.finding(limits.1 > 0.0);
+    state.outside = in_a_row(state.outside, finding.is_some());
+    let lasts = state.outside >= BREATHS && state.measured >= AVERAGED && state.covers >= RESTARTED;
+    finding.filter(|_| lasts)
 }
 
 #[cfg(test)]
@@ -246,10 +247,8 @@ mod tests {
         /// The findings after a breath of a tidal volume, mL, of NaN for an unmeasured one, as long as the rate says.
         fn breath(&mut self, tidal: f32) -> Vec<Fault> {
             let ticks = (6000.0 / self.settings.rate + 0.5) as u32;
-            // The play of the measurement takes 1 mL.
-            let volume = tidal + if tidal > 0.0 { 1.0 } else { 0.0 };
             for tick in 0..ticks {
-                let flow = if tick < ticks / 2 { volume } else { -volume } / 10.0 / (ticks / 2) as f32;
+                let flow = if tick < ticks / 2 { tidal } else { -tidal } / 10.0 / (ticks / 2) as f32;
                 self.volumes.add(flow, 9.0, 0.0, 0.01);
             }
             self.volumes.start_breath();
@@ -309,7 +308,7 @@ mod tests {
             let [covers, measured] = [AVERAGED; 2];
             let volume = minute * 50.0;
             let mean = MinuteVolumes::of(tight(volume), 3.0, settings.minute);
-            let mut state = VolumeState { mean, covers, measured, ..VolumeState::default() };
+            let mut state = VolumeState { mean, covers, measured, outside: 2, ..VolumeState::default() };
             minute_volume(&mut state, tight(volume), 3.0, settings.minute)
         };
         assert_eq!([at(6.0), at(10.0)], [None; 2]);
@@ -367,12 +366,16 @@ mod tests {
     }
 
     #[test]
-    fn a_minute_volume_is_judged_after_half_a_minute() {
+    fn a_minute_volume_is_judged_after_half_a_minute_of_three_breaths_or_more() {
         // 20 breaths a minute: ten in 30 s, and 8 L/min at 400 mL.
         for (minute, fault) in [((8.2, 0.0), Fault::MinuteVolumeLow), ((0.0, 7.8), Fault::MinuteVolumeHigh)] {
             assert_eq!(Run::new(limits((0.0, 0.0), minute)).until(400.0, fault), Some(10));
         }
         assert_eq!(Run::new(limits((0.0, 0.0), (7.8, 8.2))).breaths(100, 400.0), []);
+        // At 5 breaths a minute, a leak that has changed is known after the third.
+        let mut slow = Run::new(Settings { rate: 5.0, ..limits((0.0, 0.0), (0.0, 3.0)) });
+        assert_eq!(slow.breaths(20, 500.0), []);
+        assert_eq!(slow.until(900.0, Fault::MinuteVolumeHigh), Some(3), "one breath is enough for the mean");
     }
 
     #[test]
@@ -413,8 +416,8 @@ mod tests {
     fn a_minute_volume_that_falls_to_nothing_is_an_alarm_within_half_a_minute() {
         let mut run = Run::new(limits((0.0, 0.0), (4.0, 0.0)));
         assert_eq!(run.breaths(20, 400.0), []);
-        // 0.9 to the power of 7 is 0.48.
-        assert_eq!(run.until(0.0, Fault::MinuteVolumeLow), Some(7));
+        // 0.9 to the power of 7 is 0.48; and two more.
+        assert_eq!(run.until(0.0, Fault::MinuteVolumeLow), Some(7 + 2));
         assert_eq!(run.breaths(1, 900.0), [], "and ends when enough gas comes");
     }
 
@@ -444,9 +447,9 @@ mod tests {
         };
         assert_eq!(changing((300.0, 0.0), (0.0, 0.0), 290.0, Fault::TidalVolumeLow), Some(3));
         assert_eq!(changing((0.0, 500.0), (0.0, 0.0), 510.0, Fault::TidalVolumeHigh), Some(3));
-        // 0.9 to the power of 7 is 0.48.
-        assert_eq!(changing((0.0, 0.0), (4.0, 0.0), 0.0, Fault::MinuteVolumeLow), Some(7));
-        assert_eq!(changing((0.0, 0.0), (0.0, 12.0), 1000.0, Fault::MinuteVolumeHigh), Some(4));
+        // 0.9 to the power of 7 is 0.48; and two more.
+        assert_eq!(changing((0.0, 0.0), (4.0, 0.0), 0.0, Fault::MinuteVolumeLow), Some(7 + 2));
+        assert_eq!(changing((0.0, 0.0), (0.0, 12.0), 1000.0, Fault::MinuteVolumeHigh), Some(4 + 2));
     }
 
     #[test]
@@ -461,7 +464,7 @@ mod tests {
         let mut run = Run::new(limits((0.0, 0.0), (6.0, 0.0)));
         run.breaths(20, 400.0);
         run.settings = limits((0.0, 0.0), (60.0, 0.0));
-        assert_eq!((run.breath(400.0), run.breath(400.0)), (Vec::new(), std::vec![Fault::MinuteVolumeLow]));
+        assert_eq!(run.until(400.0, Fault::MinuteVolumeLow), Some(1 + 3));
         // A first upper limit, a little below what the patient gets, takes half a minute.
         let mut run = Run::new(limits((0.0, 0.0), (0.0, 0.0)));
         run.breaths(20, 400.0);
@@ -486,7 +489,7 @@ mod tests {
         let is_judged = |covers, measured| {
             let limits = (6.0, 0.0);
             let mean = MinuteVolumes { low: 6.0, ..MinuteVolumes::default() };
-            let mut state = VolumeState { mean, covers, measured, ..VolumeState::default() };
+            let mut state = VolumeState { mean, covers, measured, outside: 2, ..VolumeState::default() };
             minute_volume(&mut state, tight(50.0), 3.0, limits).is_some()
         };
         assert!(is_judged(7.0, 27.0) && !is_judged(6.9, 27.0) && !is_judged(7.0, 26.9));

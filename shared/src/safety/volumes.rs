@@ -17,7 +17,7 @@ const SMOOTHING: f32 = 0.05;
 /// Change of the smoothed flow within a breath that no noise of a constant reading causes, L/s.
 const SWINGS: f32 = 0.03;
 /// Play within which the integral of the flow moves without a volume, mL: less than any breath, more than the sensor's noise.
-const PLAY: f32 = 0.5;
+const PLAY: f32 = 1.0;
 
 /// Flow out of the lung, through the sensor, from which the lung still empties and the PEEP valve is open: no leak can take so much, L/s.
 pub const OUTFLOW: f32 = 0.02;
@@ -33,13 +33,15 @@ const TIGHT: f32 = 0.005;
 /// Share of the inspired gas, and the gas, mL, that may be missing in a breath without a leak: noise, an offset of the sensor.
 const MISSING: (f32, f32) = (0.15, 10.0);
 
-/// Gas that goes into the lung and out of it, mL, from the integral of its flow: noise moves that to and fro within [`PLAY`].
+/// Gas that goes into the lung and out of it, mL, from the integral of its flow: noise moves that to and fro within [`PLAY`]. Gas that
+/// turns by more has turned from where it was furthest: for a newborn, the play is a tenth of the breath.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct LungVolumes {
     inspired: f32,
     expired: f32,
-    /// Integral of the flow, from the middle of the play.
-    offset: f32,
+    /// Whether the gas has last gone towards the patient, and the integral of the flow since it was furthest that way.
+    inwards: bool,
+    back: f32,
     /// Gas of the leak that has been taken off.
     leaked: f32,
 }
@@ -47,21 +49,28 @@ struct LungVolumes {
 impl LungVolumes {
     fn add(&mut self, volume: f32, leaked: f32) {
         self.leaked += leaked;
-        self.offset += volume - leaked;
-        if self.offset > PLAY {
-            self.inspired += self.offset - PLAY;
-            self.offset = PLAY;
-        } else if self.offset < -PLAY {
-            self.expired -= self.offset + PLAY;
-            self.offset = -PLAY;
+        self.back += volume - leaked;
+        let on = if self.inwards { self.back } else { -self.back };
+        if on > 0.0 {
+            self.count(on);
+        } else if on < -PLAY {
+            self.inwards = !self.inwards;
+            self.count(-on);
         }
-        debug_assert!(self.offset.abs() <= PLAY || self.offset.is_nan());
+        debug_assert!(self.back.abs() <= PLAY || self.back.is_nan());
+    }
+
+    /// Counts gas in the direction in which it goes.
+    fn count(&mut self, volume: f32) {
+        let counted = if self.inwards { &mut self.inspired } else { &mut self.expired };
+        *counted += volume;
+        self.back = 0.0;
     }
 
     /// The volumes of the breath that ends here; the next one starts.
     fn take(&mut self) -> BreathVolumes {
-        let Self { inspired, expired, offset, leaked } = *self;
-        *self = Self { offset, ..Self::default() };
+        let Self { inspired, expired, inwards, back, leaked } = *self;
+        *self = Self { inwards, back, ..Self::default() };
         BreathVolumes { inspired, expired, leaked }
     }
 }
@@ -409,8 +418,7 @@ mod tests {
 
     #[track_caller]
     fn near((inspired, expired): (f32, f32), wanted: (f32, f32)) {
-        // Each change of the direction loses the play.
-        let near = |volume: f32, wanted: f32| volume <= wanted + 0.1 && volume >= wanted - 2.1;
+        let near = |volume: f32, wanted: f32| (volume - wanted).abs() < 0.5;
         assert!(near(inspired, wanted.0) && near(expired, wanted.1), "{inspired} {expired}, not {wanted:?}");
     }
 
@@ -431,19 +439,22 @@ mod tests {
     }
 
     #[test]
-    fn noise_within_the_play_is_no_volume_and_less_than_the_play_is_lost() {
+    fn noise_within_the_play_is_no_volume_and_beyond_it_all_gas_counts() {
         let mut lung = LungVolumes::default();
-        for volume in [0.5, -0.9, 0.9, -0.9] {
+        for volume in [0.9, -0.9, 0.9, -0.9] {
             lung.add(volume, 0.0);
         }
         assert_eq!((lung.inspired, lung.expired), (0.0, 0.0));
         lung.add(10.0, 0.0);
         let inspired = lung.take().inspired;
-        assert!((inspired - 9.1).abs() < 1e-4, "{inspired}");
+        assert!((inspired - 10.0).abs() < 1e-4, "{inspired}");
         // The play goes on from breath to breath.
         lung.add(-5.0, 0.0);
         let BreathVolumes { inspired, expired, .. } = lung.take();
-        assert!(inspired.abs() < 1e-6 && (expired - 4.0).abs() < 1e-4, "{expired}");
+        assert!(inspired.abs() < 1e-6 && (expired - 5.0).abs() < 1e-4, "{expired}");
+        // What goes on in the same direction has no play.
+        lung.add(-5.0, 0.0);
+        assert!((lung.take().expired - 5.0).abs() < 1e-4);
     }
 
     #[test]
@@ -453,7 +464,7 @@ mod tests {
         volumes.start_breath();
         volumes.add(-0.005, 9.0, 0.0, 1.0);
         volumes.start_breath();
-        assert!(volumes.breath().is_some_and(|breath| (breath.expired - 4.0).abs() < 1e-3));
+        assert!(volumes.breath().is_some_and(|breath| (breath.expired - 5.0).abs() < 1e-3));
     }
 
     #[test]
@@ -478,7 +489,7 @@ mod tests {
         }
         volumes.start_breath();
         assert!(
-            volumes.breath().is_some_and(|breath| (breath.inspired - 488.5).abs() < 1.0),
+            volumes.breath().is_some_and(|breath| (breath.inspired - 490.0).abs() < 1.0),
             "its pressure is unknown"
         );
     }

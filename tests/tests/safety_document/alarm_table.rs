@@ -7,12 +7,13 @@ use super::figures::{ms, number, percent};
 use shared::safety::alarms::{ALARMS, Fault};
 use shared::safety::expected::{ABOVE, AWAY};
 use shared::safety::host::SILENCE_MAX;
-use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES, LONG_BREATH};
+use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES};
 use shared::safety::plateau::{self, APART_BREATHS, DOUBTFUL};
 use shared::safety::source::{AGREE, AGREED_BREATHS, APART, DOUBTFUL_BREATHS, FAR_APART, MOVED, SOUND_AGAIN};
 use shared::safety::volumes::{self, MEASURED};
 use shared::safety::{
-    breath_monitor as breath, expiration, flow_monitor, lung_estimator as lung, pressure_monitor as pressure,
+    backup, breath_monitor as breath, expiration, flow_monitor, lung_estimator as lung,
+    pressure_monitor as pressure,
 };
 use shared::safety::{
     reading_monitor as reading, reference_volume as reference, standing, supervisor, volume_monitor as volume,
@@ -207,13 +208,14 @@ fn baselines() -> Vec<Conditions> {
     );
     let low = format!(
         "more than {} cmH2O below PEEP at the end of {} breaths in a row, none of them cut at the limit or \
-         drawn down by more than {} within {} s, or {} in a row with a command of more than {} % above the bias to hold PEEP, without an effort",
+         drawn down by more than {} within {} s, or {} in a row with a command of more than {} % above the bias that holds PEEP no higher than {} below, without an effort",
         number(breath::BELOW_PEEP),
         breath::LOW_BREATHS,
         number(breath::DRAWN),
         number(expiration::RECENT),
         expiration::LEAKS,
-        number(expiration::HELD)
+        number(expiration::HELD),
+        number(expiration::HELD_BELOW)
     );
     vec![(Fault::BaselineHigh, high, GONE.to_owned()), (Fault::BaselineLow, low, GONE.to_owned())]
 }
@@ -272,13 +274,14 @@ fn inspirations() -> Vec<Conditions> {
 /// Steps down the ladder.
 fn ladder() -> Vec<Conditions> {
     let missed = format!(
-        "{} control ticks missed within a breath (the PID controls from the first one on)",
-        supervisor::MISSED_MAX
+        "{} control ticks missed within a breath, or one in each of {} in a row (the PID controls from the first one on)",
+        supervisor::MISSED_MAX,
+        supervisor::MISSED_BREATHS
     );
     let distrusted = format!(
-        "{LEARNED_STRIKES} breaths in a row, or one of {} s or more, end at the pressure limit under the \
-         selected controller because of their gas",
-        number(LONG_BREATH)
+        "{LEARNED_STRIKES} breaths in a row, or one with less than {} % of the good breaths' gas, end at the \
+         pressure limit under the selected controller because of their gas",
+        percent(backup::LITTLE)
     );
     let capped = "a breath ends at the pressure limit under the PID because of its gas".to_owned();
     let steps = [
@@ -388,8 +391,8 @@ fn references() -> Vec<Conditions> {
 
 /// Volumes outside their limits.
 fn volumes() -> Vec<Conditions> {
+    let breaths = volume::BREATHS;
     let tidal = |side: &str, limit: &str| {
-        let breaths = volume::BREATHS;
         format!(
             "an expired volume, and its mean with the inspired one, {side} `{limit}` in {breaths} \
                  breaths in a row"
@@ -398,8 +401,8 @@ fn volumes() -> Vec<Conditions> {
     let minute = |side: &str, limit: &str| {
         let (averaged, restarted) = (number(volume::AVERAGED), number(volume::RESTARTED));
         format!(
-            "an expired minute volume {side} `{limit}`, averaged over {averaged} s, or over {restarted} s \
-             after the leak has changed"
+            "in {breaths} breaths in a row an expired minute volume {side} `{limit}`, averaged over {averaged} s, or over \
+             {restarted} s after the leak has changed"
         )
     };
     let rows = [

@@ -36,7 +36,7 @@ fn breaths_with(
     let breath = breath();
     for tick in (0..count).flat_map(|_| 0..breath.total_ticks()) {
         let since = tick.checked_sub(breath.inspiration_ticks());
-        expiration.observe(&mut state, &breath.at(tick), since.map_or(plateau, &pressure), 0.0, false);
+        expiration.observe(&mut state, &breath.at(tick), since.map_or(plateau, &pressure), 0.0, || false);
         if tick + 1 == breath.total_ticks() {
             begin(&expiration, &mut state, expired_share, false);
         }
@@ -52,7 +52,7 @@ fn a_sag_is_compensated_and_the_compensation_ends_with_it() {
     assert!((bounded.compensation() - BOUND).abs() < 1e-3);
     let breath = breath();
     for tick in (0..15).flat_map(|_| 1500..3000) {
-        expiration.observe(&mut state, &breath.at(tick), 5.0, 0.0, false);
+        expiration.observe(&mut state, &breath.at(tick), 5.0, 0.0, || false);
     }
     assert!(state.compensation().abs() < 1e-3);
 }
@@ -62,7 +62,7 @@ fn a_sag_that_only_one_of_two_sensors_shows_raises_no_flow() {
     let (expiration, mut state) = breaths(0, 25.0, |_| 0.0);
     let breath = breath();
     for tick in 1500..3000 {
-        expiration.observe(&mut state, &breath.at(tick), 2.0, 0.0, true);
+        expiration.observe(&mut state, &breath.at(tick), 2.0, 0.0, || true);
     }
     assert!(state.compensation().abs() < 1e-3);
 }
@@ -85,7 +85,7 @@ fn a_leak_takes_compensation_and_gas_and_an_effort_compensation_alone() {
 fn a_peep_that_flow_alone_holds_is_a_finding() {
     let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
     let mut held = |compensation, share| {
-        (state.compensation, state.lowest) = (compensation, compensation);
+        (state.compensation, state.lowest, state.sags) = (compensation, compensation, true);
         begin(&expiration, &mut state, share, false)
     };
     assert_eq!([(); 5].map(|()| held(20.1, None)), [None, None, None, None, Some(Fault::BaselineLow)]);
@@ -111,11 +111,31 @@ fn flow_that_holds_peep_is_found_in_breaths_that_no_effort_has_started() {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         (0..5).any(|_| {
             (state.compensation, state.lowest) = (flow, 5.0);
-            expiration.triggered(&mut state, 5.0, false, inhales);
+            expiration.triggered(&mut state, 6.0, false, inhales);
             begin(&expiration, &mut state, None, false) == Some(Fault::BaselineLow)
         })
     };
     assert!(found(false, 20.1) && !found(false, 20.0) && !found(true, 30.0));
+}
+
+#[test]
+fn flow_holds_no_peep_that_the_pressure_shows_before_an_effort_or_at_the_end() {
+    let found = |effort: bool, pressure: f32| {
+        let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+        let breath = breath();
+        (0..9).any(|_| {
+            for tick in breath.inspiration_ticks()..breath.total_ticks() - u32::from(effort) {
+                (state.compensation, state.lowest) = (30.0, 30.0);
+                expiration.observe(&mut state, &breath.at(tick), pressure, 0.0, || false);
+            }
+            if effort {
+                expiration.triggered(&mut state, 5.0, true, true);
+            }
+            begin(&expiration, &mut state, None, false) == Some(Fault::BaselineLow)
+        })
+    };
+    assert_eq!([4.4, 4.6].map(|pressure| found(false, pressure)), [true, false]);
+    assert_eq!([4.4, 4.6].map(|pressure| found(true, pressure)), [true, false]);
 }
 
 /// A breath that loses the gas of a leak, L/s at 1 cmH2O.
@@ -188,7 +208,7 @@ fn the_flow_of_the_bias_is_a_part_of_what_makes_up_for_a_leak() {
 fn the_pressure_has_sagged_once_its_compensation_has_risen_in_the_breath() {
     let sagged = |ticks: usize, pressure: f32| {
         let (expiration, mut state) = breaths(1, 25.0, |_| 5.0);
-        (0..ticks).for_each(|_| expiration.observe(&mut state, &breath().at(1600), pressure, 0.0, false));
+        (0..ticks).for_each(|_| expiration.observe(&mut state, &breath().at(1600), pressure, 0.0, || false));
         state.has_sagged()
     };
     assert!(sagged(13, 3.0) && !sagged(12, 3.0) && !sagged(1000, 4.1));
@@ -224,7 +244,7 @@ fn nothing_is_added_to_a_pressure_above_pip() {
     let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
     expiration.learn_leak(&mut state, (5.0, 0.0), lost(0.1));
     for (pressure, flows) in [(27.0, true), (27.1, false), (24.0, true)] {
-        expiration.observe(&mut state, &breath().at(1200), pressure, 0.0, false);
+        expiration.observe(&mut state, &breath().at(1200), pressure, 0.0, || false);
         assert_eq!(state.compensation() > 5.0, flows, "{pressure} cmH2O at a PIP of 25");
     }
 }
@@ -279,7 +299,7 @@ fn triggered(
     for since in (0..count).flat_map(|_| 0..ticks) {
         let effort = 0.05 * (since + 100).saturating_sub(ticks) as f32;
         let pressure = pressure(since) - effort;
-        expiration.observe(&mut state, &breath.at(1000 + since), pressure, flow(since), false);
+        expiration.observe(&mut state, &breath.at(1000 + since), pressure, flow(since), || false);
         if since + 1 == ticks {
             expiration.triggered(&mut state, 5.0, ticks >= 1000, true);
             begin(&expiration, &mut state, Some(1.0), false);
@@ -313,7 +333,7 @@ fn pip_does_not_follow_gas_that_is_trapped_behind_a_resistance() {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         for tick in (0..3).flat_map(|_| 1000..3000) {
             let share = share(tick - 1000);
-            expiration.observe(&mut state, &breath().at(tick), 5.0 + 14.0 * share, -0.3 * share, false);
+            expiration.observe(&mut state, &breath().at(tick), 5.0 + 14.0 * share, -0.3 * share, || false);
             if tick == 2999 {
                 begin(&expiration, &mut state, Some(1.0), false);
             }
@@ -415,7 +435,7 @@ fn a_sag_of_one_raises_the_compensation_by_forty_a_second_and_its_end_lowers_it_
     let change = |tick, pressure, doubtful| {
         let mut state = ExpirationState { compensation: 10.0, ..ExpirationState::default() };
         let expiration = Expiration::new(1000, Monitors::ALL);
-        expiration.observe(&mut state, &breath().at(tick), pressure, 0.0, doubtful);
+        expiration.observe(&mut state, &breath().at(tick), pressure, 0.0, || doubtful);
         (1e4 * (state.compensation() - 10.0) + 0.5).floor() as i32
     };
     assert_eq!((change(2000, 3.0, false), change(2000, 3.5, false)), (400, 200));
@@ -460,7 +480,7 @@ fn a_short_expiration_that_still_falls_lasts_longer_and_pip_does_not_rise() {
     let (expiration, mut state) = (Expiration::new(1000, Monitors::ALL), ExpirationState::default());
     for tick in (0..3).flat_map(|_| 0..1000_u32) {
         let pressure = 25.0 - 0.02 * tick.saturating_sub(400) as f32;
-        expiration.observe(&mut state, &breath.at(tick), pressure, 0.0, false);
+        expiration.observe(&mut state, &breath.at(tick), pressure, 0.0, || false);
         if tick == 999 {
             begin(&expiration, &mut state, Some(1.0), false);
         }

@@ -33,8 +33,9 @@ impl Supervisor {
         pressure: Option<f32>,
         settings: &Settings,
     ) {
-        let seconds = state.settings.map_or(0.0, |before| 60.0 / before.rate);
-        if let Some(fault) = state.ladder.breath_ended(state.cut == Cut::ByGas, seconds) {
+        // Behind a tube that has narrowed, the first gas is too much for the pressure.
+        let little = state.cut == Cut::ByFirstGas;
+        if let Some(fault) = state.ladder.breath_ended(little || state.cut == Cut::ByGas, little) {
             self.report(state, fault);
         }
         let in_doubt = state.cut == Cut::InDoubt;
@@ -42,6 +43,9 @@ impl Supervisor {
         if state.cuts >= CUTS_MAX {
             let one_sensor = state.cut == Cut::Denied;
             self.report(state, if one_sensor { Fault::SensorsDisagree } else { Fault::HighPressure });
+        }
+        if state.missed == 0 {
+            state.misses = 0;
         }
         let before = state.settings.replace(*settings).filter(|before| before != settings);
         state.pressures_before = before.as_ref().map(Pressures::of);

@@ -22,6 +22,8 @@ pub(super) enum Cut {
     None,
     /// The gas.
     ByGas,
+    /// The first gas: little has gone in, and more flows.
+    ByFirstGas,
     /// The patient, who coughs.
     ByPatient,
     /// One pressure sensor alone.

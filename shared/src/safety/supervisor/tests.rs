@@ -419,6 +419,21 @@ fn the_volume_is_that_of_the_inspiration_until_its_end_or_the_limit() {
 }
 
 #[test]
+fn a_tick_missed_in_each_of_three_breaths_is_an_alarm() {
+    let begun = |sound: Option<u32>| {
+        let mut run = Run::new();
+        for number in 0..4 {
+            run.breathe(0..2, 15.0, LEARNED);
+            run.missed(u32::from(Some(number) != sound));
+        }
+        run.breathe(0..1, 15.0, LEARNED);
+        (run.state.take_begun(), run.state.level())
+    };
+    assert_eq!(begun(Some(0)), (Some(Fault::MissedTicks), Level::Pid));
+    assert_eq!(begun(Some(1)), (None, Level::Learned), "not in a row");
+}
+
+#[test]
 fn breaths_of_an_earlier_run_do_not_count() {
     let mut run = Run::new();
     run.state.ladder.step_down(Level::Pid);

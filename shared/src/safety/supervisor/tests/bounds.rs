@@ -69,20 +69,29 @@ fn gas_explains_a_cut_if_it_predicts_half_of_the_way_from_pip_to_the_limit() {
 }
 
 #[test]
-fn gas_that_flows_on_explains_a_cut_whatever_the_lung_was() {
+fn gas_that_flows_on_explains_an_early_cut_whatever_the_lung_was_and_is_a_strike_of_its_own() {
     // The tube narrows: the same gas raises the pressure by more. Against a cough none flows.
-    let cut = |share: f32| {
+    let cut = |share: f32, ends: u32| {
         let mut run = Run::new();
-        assert_eq!(run.inspire(SOFT, 30.0), None);
-        for tick in 0..300 {
-            let pressure = 10.0 + 0.2 * tick as f32;
+        (0..2).for_each(|_| assert_eq!(run.inspire(Lung::Elastic(0.05), 30.0), None));
+        for tick in 0..ends + 10 {
+            let pressure = 10.0 + 50.0 * (tick as f32 / ends as f32).min(1.1);
             let flow = share * run.state.lung.valve_flow();
             run.check_all(Readings { flow, ..Readings::from(pressure + dither(tick)) }, Some(tick));
             run.filter(ControlOutput::plain(30.0), false);
         }
-        run.state.cut
+        let (cut, mut length) = (run.state.cut, ends + 10);
+        while length < 3000 && !run.supervisor.end_tick(&mut run.state, &breath().at(length), false) {
+            run.check_all(Readings { flow: 0.0, ..Readings::from(5.0 + dither(length)) }, Some(length));
+            run.filter(ControlOutput::plain(0.0), true);
+            length += 1;
+        }
+        run.check(5.0, Some(0));
+        (cut, run.state.level(), length < 1500)
     };
-    assert_eq!([-0.1, 0.4, 0.6].map(cut), [Cut::ByPatient, Cut::ByPatient, Cut::ByGas]);
+    let patients = (Cut::ByPatient, Level::Learned, false);
+    assert_eq!([cut(-0.1, 250), cut(0.4, 250), cut(0.6, 800)], [patients; 3]);
+    assert_eq!(cut(0.6, 250), (Cut::ByFirstGas, Level::Pid, true), "the next breath comes a second later");
 }
 
 #[test]
@@ -145,7 +154,7 @@ fn a_pressure_that_stays_up_for_a_quarter_of_a_minute_with_a_fifth_of_the_gas_in
     };
     assert_eq!((latched_in(0.2, 0.0), latched_in(0.19, 0.0)), (None, Some(4)));
     // Of 31 mL in, 25 stay away.
-    assert_eq!((latched_in(0.19, 9.9), latched_in(0.19, 10.5)), (Some(4), None), "a leak lets gas out");
+    assert_eq!((latched_in(0.19, 9.4), latched_in(0.19, 9.9)), (Some(4), None), "a leak lets gas out");
 }
 
 #[test]
@@ -527,15 +536,25 @@ fn a_pressure_that_an_effort_draws_down_at_the_end_of_expirations_is_no_lost_pee
 }
 
 #[test]
-fn at_a_slow_rate_one_breath_at_the_limit_is_a_strike_that_counts() {
-    let level = |rate: f32| {
+fn a_sag_that_the_outlet_denies_raises_no_flow() {
+    // The airway sensor reads 1.5 cmH2O too low, which is no difference that takes one out of use.
+    let compensation = |outlet: f32| {
         let mut run = Run::new();
-        run.state.settings = Some(Settings { rate, ..paper_settings(20.0) });
-        run.state.cut = Cut::ByGas;
-        run.supervisor.start_breath(&mut run.state, Some(5.0), &paper_settings(20.0));
-        run.state.level()
+        for tick in (0..4).flat_map(|_| 0..breath().total_ticks()) {
+            let inspires = breath().phase(tick) == Phase::Inspiration;
+            let pressure = if inspires { 20.0 } else { 3.5 } + dither(tick);
+            let outlet = if inspires { pressure } else { outlet + dither(tick + 1) };
+            run.check_all(Readings { outlet, flow: 0.0, ..Readings::from(pressure) }, Some(tick));
+            run.filter(ControlOutput::plain(0.0), !inspires);
+        }
+        run.state.expiration.compensation()
     };
-    assert_eq!([20.0, 10.0].map(level), [Level::Learned, Level::Pid]);
+    assert!(
+        compensation(5.0) < 1.0 && compensation(3.8) > 20.0,
+        "{} {}",
+        compensation(5.0),
+        compensation(3.8)
+    );
 }
 
 #[test]
