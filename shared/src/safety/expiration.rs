@@ -54,7 +54,7 @@ pub const OPEN: f32 = 0.6;
 /// Compensation of a sag throughout a breath above which PEEP is held by flow alone, percent: the PEEP valve is stuck open,
 /// or the flow sensor does not show the leak.
 pub const HELD: f32 = 20.0;
-/// Pressure below PEEP at the end of such a breath, cmH2O: flow alone raises it no further than to [`SAG`] below.
+/// Pressure below PEEP at the end of such a breath, cmH2O: flow alone raises it no further than to 1 cmH2O below.
 pub const HELD_BELOW: f32 = 0.5 * SAG;
 /// Rise of the compensation in an expiration that an effort ends of which no more is kept, percent: a leak needs a little more in
 /// each breath, an effort much for a moment.

@@ -130,7 +130,7 @@ pub struct SourceState {
     apart: u32,
     /// Whether the last reading was a fresh one.
     was_fresh: bool,
-    /// What the smoothed readings were at the start of the breath, cmH2O; none before the first.
+    /// What the smoothed readings were at the start of the running inspiration, cmH2O; none after it.
     starts: Option<[f32; 2]>,
     /// Whether a sensor is doubted because of an inspiration alone, until they are compared at rest.
     undecided: bool,
@@ -401,6 +401,11 @@ impl SourceState {
         } else {
             Follows::Gap
         }
+    }
+
+    /// The inspiration ends: in the fall, the sensor that stays up is the one that does not follow.
+    pub fn inspired(&mut self) {
+        self.starts = None;
     }
 
     /// Doubts these sensors from now on.

@@ -434,8 +434,8 @@ impl Supervisor {
         }
         let ends = effort || (due && !self.expiration.goes_on(&state.expiration, &moment.next()));
         // A lung that has hardly taken gas has nothing to give out: the next controller need not wait.
-        let again = state.cut == Cut::ByFirstGas && state.open() >= self.emptied;
-        let ends = ends || (again && self.level(state) < Level::CappedPid);
+        let again = || state.open() >= self.emptied && self.level(state) < Level::CappedPid;
+        let ends = ends || (state.cut == Cut::ByFirstGas && again());
         if ends {
             state.start = if effort { Start::Effort } else { Start::Clock };
         }
@@ -513,6 +513,7 @@ impl Supervisor {
         state.standing.observe(moment, state.expiration.smooth());
         if moment.ends_inspiration() {
             state.standing.inspired(state.volumes.expired());
+            state.source.inspired();
         }
         if moment.ends_inspiration() && !cut {
             state.reached = Some(pressure);

@@ -156,6 +156,21 @@ fn inspiration(run: &mut Run, pressures: impl Fn(u32) -> (f32, f32)) -> Chosen {
 }
 
 #[test]
+fn a_sensor_that_stays_up_in_the_fall_belies_no_other_while_a_leak_takes_gas() {
+    let mut run = Run::new();
+    run.ticks(100, PEEP, PEEP);
+    inspiration(&mut run, |_| (25.0, 25.0));
+    run.state.inspired();
+    let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
+    for tick in 1500..1600 {
+        let readings = Readings { airway: 10.0 + 0.01 * (tick % 3) as f32, outlet: 25.0, flow: 0.2 };
+        run.source.check(&mut run.state, &readings, Expected::Any, 0.2);
+        run.source.record(&mut run.state, &breath.at(tick), 50, &readings, 0.2);
+        assert!(run.state.airway.is_sound() && !run.state.airway.doubted);
+    }
+}
+
+#[test]
 fn while_gas_goes_in_the_sensor_that_follows_it_is_believed_until_rest_tells_more() {
     let rises = |tick: u32| PEEP + (0.3 * tick as f32).min(20.0);
     let lags = |tick: u32| rises(tick.saturating_sub(100));
