@@ -166,7 +166,7 @@ pub enum Missing {
     Explained,
 }
 
-/// Whether a pressure shows that PEEP holds, cmH2O: then flow holds it no more than a sound sensor's error.
+/// Whether a pressure shows that PEEP holds, both in cmH2O: it is hardly below, and no flow need raise it.
 pub fn holds_peep(pressure: f32, peep: f32) -> bool {
     pressure > peep - HELD_BELOW
 }

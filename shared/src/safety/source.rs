@@ -10,6 +10,7 @@
 
 use super::alarms::Fault;
 use super::expected::Expected;
+use super::expiration::holds_peep;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::plateau::{DOUBTFUL, Judgement, Plateau, TUBE};
 use super::reading_monitor::{Believed, ReadingMonitor, ReadingState};
@@ -430,8 +431,15 @@ impl SourceState {
     }
 
     /// Whether a sensor has failed a check, so that the two cannot be compared.
-    pub fn is_one_lost(&self) -> bool {
+    fn is_one_lost(&self) -> bool {
         self.airway.condition == Condition::Lost || self.outlet.condition == Condition::Lost
+    }
+
+    /// Whether the higher of two readings shows that PEEP holds, cmH2O, at this flow of the valve, L/s, whatever the other one says.
+    pub fn shows_peep(&self, readings: &Readings, flow: f32, peep: f32) -> bool {
+        // On its way from the outlet to the airway, the flow loses some pressure in the tube.
+        let higher = readings.airway.max(readings.outlet) - TUBE * flow;
+        !self.is_one_lost() && holds_peep(higher, peep)
     }
 
     /// Whether both pressure sensors are sound.

@@ -21,14 +21,13 @@ use super::alarms::{Action, Fault};
 use super::backup::Backup;
 use super::breath_monitor::{ABOVE_PEEP, BreathInput, BreathMonitor, BreathState, Cap};
 use super::expected::Expected;
-use super::expiration::{Expiration, ExpirationState, TIGHT, holds_peep};
+use super::expiration::{Expiration, ExpirationState, TIGHT};
 use super::filter::ValveCommand;
 use super::flow_monitor::{FlowMonitor, FlowState};
 use super::indications::Indications;
 use super::ladder::{CAP, Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::{Monitors, in_a_row, ticks};
-use super::plateau::TUBE;
 use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::reference_volume::ReferenceVolume;
 use super::responses::{Response, Responses};
@@ -417,14 +416,6 @@ impl Supervisor {
         }
     }
 
-    /// Compares the sensors at the end of an expiration, before a start of the next breath.
-    fn compare_sensors(&self, state: &mut SupervisorState, next: Start) {
-        let flow = state.lung.valve_flow();
-        if self.source.compare(&mut state.source, flow, next == Start::Effort) {
-            self.report(state, Fault::SensorsDisagree);
-        }
-    }
-
     /// Ends a tick of a breath; whether the next one starts a breath, because it is due or the patient inhales
     /// (`effort`).
     pub fn end_tick(&self, state: &mut SupervisorState, moment: &Moment, effort: bool) -> bool {
@@ -502,13 +493,8 @@ impl Supervisor {
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.report(state, fault);
         }
-        let (breath, source, lung) = (&state.breath, &state.source, &state.lung);
-        let denied = || {
-            // On its way from the outlet to the airway, the flow loses some pressure in the tube.
-            let higher = readings.airway.max(readings.outlet) - TUBE * lung.valve_flow();
-            !source.is_one_lost() && holds_peep(higher, moment.settings().peep)
-        };
-        let unsure = || doubtful || breath.is_disconnected() || denied();
+        let denied = || state.source.shows_peep(readings, state.lung.valve_flow(), moment.settings().peep);
+        let unsure = || doubtful || state.breath.is_disconnected() || denied();
         self.expiration.observe(&mut state.expiration, moment, pressure, state.volumes.smooth(), unsure);
         state.standing.observe(moment, state.expiration.smooth());
         if moment.ends_inspiration() {

@@ -129,6 +129,14 @@ impl Supervisor {
         }
     }
 
+    /// Compares the sensors at the end of an expiration, before a start of the next breath.
+    pub(super) fn compare_sensors(&self, state: &mut SupervisorState, next: Start) {
+        let flow = state.lung.valve_flow();
+        if self.source.compare(&mut state.source, flow, next == Start::Effort) {
+            self.report(state, Fault::SensorsDisagree);
+        }
+    }
+
     /// Checks the flow sensor by the last breath.
     pub(super) fn check_flow(&self, state: &mut SupervisorState) {
         let blind = state.reading == Reading::Lost;
