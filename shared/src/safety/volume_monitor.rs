@@ -482,6 +482,11 @@ mod tests {
         run.breaths(20, 400.0);
         run.state.leak_changed();
         assert_eq!(run.until(290.0, Fault::MinuteVolumeLow), Some(1 + 4), "more than 10 s");
+        // 12 s each: the breaths outside before do not count either.
+        let mut slow = Run::new(Settings { rate: 5.0, ..limits((0.0, 0.0), (0.0, 3.0)) });
+        assert_eq!((slow.breaths(20, 500.0), slow.breaths(2, 900.0)), (Vec::new(), Vec::new()));
+        slow.state.leak_changed();
+        assert_eq!(slow.until(900.0, Fault::MinuteVolumeHigh), Some(1 + 3));
     }
 
     #[test]

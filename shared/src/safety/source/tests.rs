@@ -127,6 +127,20 @@ fn a_noisy_sensor_stands_back_behind_a_quiet_one() {
 }
 
 #[test]
+fn the_higher_reading_shows_peep_unless_its_flow_or_a_lost_sensor_denies_it() {
+    let mut run = Run::new();
+    run.ticks(100, PEEP, PEEP);
+    let shows = |state: &SourceState, outlet: f32, flow: f32| {
+        state.shows_peep(&Readings { airway: PEEP - 3.0, outlet, flow: 0.0 }, flow, PEEP)
+    };
+    assert_eq!([PEEP, PEEP - 0.6].map(|outlet| shows(&run.state, outlet, 0.0)), [true, false]);
+    // 0.4 L/s lose 1.6 cmH2O in the tube.
+    assert_eq!([PEEP + 1.2, PEEP + 1.0].map(|outlet| shows(&run.state, outlet, 0.4)), [true, false]);
+    run.ticks(100, PEEP, f32::NAN);
+    assert!(!shows(&run.state, PEEP, 0.0), "a lost sensor");
+}
+
+#[test]
 fn far_apart_for_20_ms_the_higher_one_counts() {
     for (airway, outlet) in [(5.0, 20.0), (20.0, 5.0)] {
         let mut run = Run::new();

@@ -71,9 +71,10 @@ fn gas_explains_a_cut_if_it_predicts_half_of_the_way_from_pip_to_the_limit() {
 #[test]
 fn gas_that_flows_on_explains_an_early_cut_whatever_the_lung_was_and_is_a_strike_of_its_own() {
     // The tube narrows: the same gas raises the pressure by more. Against a cough none flows.
-    let cut = |share: f32, ends: u32| {
+    let cut_at = |level: Level, share: f32, ends: u32| {
         let mut run = Run::new();
         (0..2).for_each(|_| assert_eq!(run.inspire(Lung::Elastic(0.05), 30.0), None));
+        run.state.ladder.step_down(level);
         for tick in 0..ends + 10 {
             let pressure = 10.0 + 50.0 * (tick as f32 / ends as f32).min(1.1);
             let flow = share * run.state.lung.valve_flow();
@@ -89,9 +90,12 @@ fn gas_that_flows_on_explains_an_early_cut_whatever_the_lung_was_and_is_a_strike
         run.check(5.0, Some(0));
         (cut, run.state.level(), length < 1500)
     };
+    let cut = |share, ends| cut_at(Level::Learned, share, ends);
     let patients = (Cut::ByPatient, Level::Learned, false);
     assert_eq!([cut(-0.1, 250), cut(0.4, 250), cut(0.6, 800)], [patients; 3]);
     assert_eq!(cut(0.6, 250), (Cut::ByFirstGas, Level::Pid, true), "the next breath comes a second later");
+    let capped = (Cut::ByFirstGas, Level::CappedPid, false);
+    assert_eq!(cut_at(Level::CappedPid, 0.6, 250), capped, "no other controller is left");
 }
 
 #[test]
@@ -555,6 +559,25 @@ fn a_sag_that_the_outlet_denies_raises_no_flow() {
         compensation(5.0),
         compensation(3.8)
     );
+}
+
+#[test]
+fn a_sensor_that_stays_up_in_the_fall_takes_no_other_out_of_use() {
+    // The flow makes up for a leak; the outlet sensor stands at the plateau, and is found frozen.
+    let mut run = Run::new();
+    let readings = |tick: u32| {
+        let inspires = breath().phase(tick) == Phase::Inspiration;
+        let airway = if inspires && tick > 20 { 25.0 } else { 5.0 } + dither(tick);
+        let outlet = if inspires { airway } else { 25.0 };
+        Readings { outlet, flow: 0.0, ..Readings::from(airway) }
+    };
+    for tick in 0..2000 {
+        let inspires = breath().phase(tick) == Phase::Inspiration;
+        run.check_all(readings(tick), Some(tick));
+        run.filter(ControlOutput::plain(50.0), !inspires);
+        run.supervisor.lung.applied(&mut run.state.lung, 50.0);
+    }
+    assert!(run.check_all(readings(2000), Some(2000)).is_some_and(|pressure| pressure < 6.0));
 }
 
 #[test]
