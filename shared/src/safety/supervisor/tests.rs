@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use std::vec::Vec;
 
 mod bounds;
+mod sensors;
 mod volumes;
 
 fn breath() -> Breath {
