@@ -41,6 +41,8 @@ const STEPS: f32 = 2.0;
 const HELD: f32 = MISSING;
 /// Bias of the inspiratory valve whose flow is less than an effort, percent.
 const LITTLE_BIAS: f32 = 6.0;
+/// Height above PEEP of a pressure that this flow raises as well, because the outlet resists, cmH2O.
+const RESISTED: f32 = 2.0;
 /// Litres per second in a litre per minute.
 const PER_MINUTE: f32 = 1.0 / 60.0;
 
@@ -173,6 +175,9 @@ impl Trigger {
         // The inspiratory valve opens to its bias.
         if expires && !state.expires && settings.expiratory_bias > LITTLE_BIAS {
             state.flow.redraw();
+            if pressure > settings.peep + RESISTED {
+                state.pressure.redraw();
+            }
         }
         state.expires = expires;
         let by_pressure = self.follow(&mut state.pressure, -pressure, settings.trigger_pressure);
@@ -507,6 +512,22 @@ mod tests {
         assert_eq!(at(20.0, 5000), None);
         assert!(at(20.0, 2000).is_some_and(|at| (2000..2100).contains(&at)), "the line is drawn again");
         assert!(at(5.0, 1550).is_some_and(|at| at < 1650), "the usual bias takes no time");
+    }
+
+    #[test]
+    fn the_pressure_that_a_bias_raises_behind_a_narrowed_outlet_is_no_effort() {
+        // The fall halts while the valve opens, and goes on 4 cmH2O higher: that bends the line, unless it begins anew.
+        let at = |begins: u32, above: f32| {
+            let settings = Settings { fall_time: 0.4, expiratory_bias: 10.0, ..*breath(0.4, 0.0).settings() };
+            let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
+            found(&breath, |tick| {
+                let opened = tick.saturating_sub(EXPIRES + 400).min(80) as f32 / 80.0;
+                let falls = above + 4.0 * opened - 0.01 * tick.saturating_sub(EXPIRES) as f32;
+                (PEEP + falls - effort(tick, begins), f32::NAN)
+            })
+        };
+        assert_eq!(at(u32::MAX, 30.0), None);
+        assert!(at(1800, 30.0).is_some_and(|at| at < 1900), "an effort shows as before");
     }
 
     #[test]

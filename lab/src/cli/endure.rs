@@ -196,6 +196,7 @@ fn worst(results: &[PatientResult]) -> Table {
             ("high undeserved", &|result| count(result.undeserved(Priority::High))),
             ("missed", &|result| count(result.missed())),
             ("medium undeserved", &|result| count(result.undeserved(Priority::Medium))),
+            ("self-triggered", &|result| count(result.efforts.self_triggered)),
             ("longest gap, s", &|result| Cell::number(result.longest_gap_s, 1)),
             ("share of volume", &|result| Cell::number(result.minute_volume_share, 2)),
             ("undeserved and missed", &|result| Cell::text(causes(result))),
@@ -205,16 +206,16 @@ fn worst(results: &[PatientResult]) -> Table {
 
 /// How breaths followed efforts.
 fn efforts(summary: &Summary) -> String {
-    let Some(delay) = summary.trigger_delay_ms else {
-        return "no breath was triggered by an effort".to_owned();
+    let followed = match summary.trigger_delay_ms {
+        None => "no breath triggered by an effort".to_owned(),
+        Some(delay) => format!(
+            "{:.0} % of the breaths triggered by efforts, median delay {delay} ms; {:.1} % of the efforts missed",
+            100.0 * summary.triggered_share,
+            100.0 * summary.efforts_missed_share,
+        ),
     };
-    format!(
-        "{:.0} % of the breaths triggered by efforts, median delay {delay} ms; {:.1} % of the efforts missed; {:.2} of 1,000 \
-         breaths triggered without an effort",
-        100.0 * summary.triggered_share,
-        100.0 * summary.efforts_missed_share,
-        summary.self_triggered_per_mille
-    )
+    let alone = summary.self_triggered_per_mille;
+    format!("{followed}; {alone:.2} of 1,000 breaths triggered without an effort")
 }
 
 fn totals(summary: &Summary) -> Vec<String> {

@@ -1,7 +1,7 @@
 //! The ladder of trust: learned controller, its PID, the compiled-in PID with a capped command, backup ventilation.
 //!
 //! A breath whose gas raises the pressure to its limit is a strike; a cough is none. Strikes lead down to the capped PID; clean
-//! breaths lead up again, after each return more of them. Backup ventilation does not depend on strikes: it runs while no
+//! breaths lead up again, after each return more of them, and one to which the cap leaves too little gas lifts it. Backup ventilation does not depend on strikes: it runs while no
 //! pressure reading is sound.
 
 use serde::{Deserialize, Serialize};
@@ -31,6 +31,17 @@ pub enum Level {
     Backup,
 }
 
+/// How the inspiration of a breath has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// After its time, or by the patient: a clean breath.
+    InTime,
+    /// By its gas, at the pressure limit.
+    AtLimit,
+    /// There too, by the first of its gas.
+    AtLimitByFirstGas,
+}
+
 /// Position on the ladder; starts at the top.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ladder {
@@ -53,17 +64,24 @@ impl Ladder {
         self.clean = 0;
     }
 
-    /// Counts a breath that ended at the pressure limit (`cut`), perhaps with little of its gas, or cleanly; returns the fault to raise.
-    pub fn breath_ended(&mut self, cut: bool, little: bool) -> Option<Fault> {
-        let fault = if cut { self.strike(little) } else { self.clean_breath() };
+    /// Counts a breath, by how its inspiration ended; returns the fault to raise.
+    pub fn breath_ended(&mut self, end: End) -> Option<Fault> {
+        let fault = if end == End::InTime { self.clean_breath() } else { self.strike(end) };
         debug_assert!(self.strikes == 0 || self.clean == 0, "one kind of breath ends a row of the other");
         fault
     }
 
-    fn strike(&mut self, little: bool) -> Option<Fault> {
+    /// Lifts the cap, with which a breath has hardly raised the pressure: a leak takes what it lets through.
+    pub fn falls_short(&mut self) {
+        if self.level == Level::CappedPid {
+            (self.level, self.clean) = (Level::Pid, 0);
+        }
+    }
+
+    fn strike(&mut self, end: End) -> Option<Fault> {
         (self.strikes, self.clean) = (self.strikes + 1, 0);
         match self.level {
-            Level::Learned if self.strikes < LEARNED_STRIKES && !little => None,
+            Level::Learned if self.strikes < LEARNED_STRIKES && end != End::AtLimitByFirstGas => None,
             Level::Learned => {
                 self.level = Level::Pid;
                 Some(Fault::LearnedDistrusted)
@@ -89,58 +107,73 @@ impl Ladder {
 
 #[cfg(test)]
 mod tests {
+    use super::End::{AtLimit, AtLimitByFirstGas, InTime};
     use super::*;
     use proptest::prelude::*;
     use std::vec;
     use std::vec::Vec;
 
-    fn after(breaths: &[bool]) -> (Ladder, Vec<Fault>) {
+    fn after(ends: &[End]) -> (Ladder, Vec<Fault>) {
         let mut ladder = Ladder::default();
-        let told = breaths.iter().filter_map(|cut| ladder.breath_ended(*cut, false)).collect();
+        let told = ends.iter().filter_map(|end| ladder.breath_ended(*end)).collect();
         (ladder, told)
     }
 
     #[test]
     fn a_single_breath_at_the_limit_is_a_cough() {
-        let (ladder, told) = after(&[false, true, false, true, false]);
+        let (ladder, told) = after(&[InTime, AtLimit, InTime, AtLimit, InTime]);
         assert_eq!((ladder.level(), told), (Level::Learned, vec![]));
     }
 
     #[test]
     fn strikes_in_a_row_lead_all_the_way_down() {
-        let (ladder, told) = after(&[true; 4]);
+        let (ladder, told) = after(&[AtLimit; 4]);
         assert_eq!(ladder.level(), Level::CappedPid);
         assert_eq!(told, [Fault::LearnedDistrusted, Fault::CommandCapped, Fault::HighPressure]);
     }
 
     #[test]
     fn one_breath_at_the_limit_with_little_gas_is_enough() {
-        let told = |little| Ladder::default().breath_ended(true, little);
-        assert_eq!((told(false), told(true)), (None, Some(Fault::LearnedDistrusted)));
+        let told = |end| Ladder::default().breath_ended(end);
+        assert_eq!((told(AtLimit), told(AtLimitByFirstGas)), (None, Some(Fault::LearnedDistrusted)));
     }
 
     #[test]
     fn clean_breaths_lead_up_again_each_time_after_twice_as_many() {
         let mut ladder = Ladder::default();
         for wanted in [5, 10, 20, 40, 80, 80] {
-            ladder.breath_ended(true, false);
-            ladder.breath_ended(true, false);
+            ladder.breath_ended(AtLimit);
+            ladder.breath_ended(AtLimit);
             for _ in 1..wanted {
-                ladder.breath_ended(false, false);
+                ladder.breath_ended(InTime);
             }
             assert_eq!(ladder.level(), Level::Pid, "before {wanted}");
-            ladder.breath_ended(false, false);
+            ladder.breath_ended(InTime);
             assert_eq!(ladder.level(), Level::Learned, "after {wanted}");
         }
     }
 
+    #[test]
+    fn a_breath_that_falls_short_lifts_the_cap_alone() {
+        let levels = [2, 3, 5].map(|strikes| {
+            let mut ladder = after(&vec![AtLimit; strikes]).0;
+            ladder.falls_short();
+            (ladder.level(), ladder.breath_ended(AtLimit))
+        });
+        let capped = (Level::Pid, Some(Fault::CommandCapped));
+        assert_eq!(levels, [capped; 3]);
+        let mut ladder = Ladder::default();
+        ladder.falls_short();
+        assert_eq!(ladder, Ladder::default());
+    }
+
     proptest! {
         #[test]
-        fn nothing_leads_up_but_clean_breaths(breaths in prop::collection::vec(any::<bool>(), 0..200)) {
+        fn strikes_lead_down_only(ends in prop::collection::vec(any::<bool>(), 0..200)) {
             let mut ladder = Ladder::default();
-            for cut in breaths {
+            for cut in ends {
                 let before = ladder.level();
-                ladder.breath_ended(cut, false);
+                ladder.breath_ended(if cut { AtLimit } else { InTime });
                 prop_assert!(!cut || ladder.level() >= before);
             }
         }

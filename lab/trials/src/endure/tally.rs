@@ -71,10 +71,11 @@ impl PatientResult {
         self.missed.values().sum()
     }
 
-    /// For the order of the worst: interruptions, undeserved high, missed, undeserved medium.
-    fn badness(&self) -> [u64; 4] {
+    /// For the order of the worst: interruptions, undeserved high, missed, undeserved medium, self-triggered breaths.
+    fn badness(&self) -> [u64; 5] {
         let undeserved = |priority| self.undeserved(priority);
-        [self.interruptions, undeserved(Priority::High), self.missed(), undeserved(Priority::Medium)]
+        let (high, medium) = (undeserved(Priority::High), undeserved(Priority::Medium));
+        [self.interruptions, high, self.missed(), medium, self.efforts.self_triggered]
     }
 }
 
@@ -151,7 +152,7 @@ impl Summary {
             let per_patient_day = per_day(deserved + undeserved);
             AlarmRow { id: alarm.id, priority: alarm.priority, deserved, undeserved, per_patient_day }
         });
-        let mut worst: Vec<_> = results.iter().filter(|result| result.badness() != [0; 4]).cloned().collect();
+        let mut worst: Vec<_> = results.iter().filter(|result| result.badness() != [0; 5]).cloned().collect();
         worst.sort_by_key(|result| std::cmp::Reverse(result.badness()));
         worst.truncate(WORST);
         let mut efforts = Efforts::default();

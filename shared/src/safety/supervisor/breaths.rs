@@ -3,7 +3,7 @@
 
 use super::super::alarms::Fault;
 use super::super::expiration::{IN_A_ROW, Missing};
-use super::super::ladder::Level;
+use super::super::ladder::{End, Level};
 use super::super::monitors::in_a_row;
 use super::super::pressure_monitor::Gas;
 use super::super::settling::{Pressures, moves_breaths, moves_peep};
@@ -34,8 +34,12 @@ impl Supervisor {
         settings: &Settings,
     ) {
         // Behind a tube that has narrowed, the first gas is too much for the pressure.
-        let little = state.cut == Cut::ByFirstGas;
-        if let Some(fault) = state.ladder.breath_ended(little || state.cut == Cut::ByGas, little) {
+        let end = match state.cut {
+            Cut::ByFirstGas => End::AtLimitByFirstGas,
+            Cut::ByGas => End::AtLimit,
+            _ => End::InTime,
+        };
+        if let Some(fault) = state.ladder.breath_ended(end) {
             self.report(state, fault);
         }
         let in_doubt = state.cut == Cut::InDoubt;
@@ -126,6 +130,8 @@ impl Supervisor {
             if rise >= FULL_RISE * whole {
                 state.flow.rose(rise);
             }
+        } else if rise < RESPONSE * whole && !state.source.is_noisy() {
+            state.ladder.falls_short();
         }
     }
 
