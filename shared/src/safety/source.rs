@@ -380,7 +380,7 @@ impl PressureSource {
         if state.agreed >= AGREED_BREATHS {
             state.doubt(false, false);
         }
-        let wrong = state.doubtful >= self.doubtful || (state.undecided && apart_at_rest);
+        let wrong = state.doubtful >= self.doubtful;
         state.undecided &= !wrong && state.agreed == 0;
         if wrong {
             state.doubt(airway > outlet, airway <= outlet);
