@@ -171,6 +171,16 @@ mod tests {
     }
 
     #[test]
+    fn a_lease_that_has_lapsed_is_given_back_by_its_last_holder_alone() {
+        let mut lease = held(0);
+        lease.heard(None, LEASE_TICKS + 1);
+        lease.release(BERT);
+        assert_eq!((lease.role(ANNA), lease.role(BERT)), (HostRole::Steers, HostRole::Reads));
+        lease.release(ANNA);
+        assert_eq!((lease.role(ANNA), lease.role(BERT)), (HostRole::Steers, HostRole::Attends));
+    }
+
+    #[test]
     fn a_person_at_the_bedside_takes_it_over_at_once() {
         let mut lease = held(0);
         assert!(lease.acquire(BERT, name("bert"), true, 1).is_ok_and(|status| status.yours));

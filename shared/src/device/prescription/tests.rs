@@ -268,6 +268,11 @@ fn the_flash_is_left_alone_while_ventilation_waits_to_resume() {
         (run.prescription.leave(&run.control), status(&mut run).leave()),
         (Leave::Erase, Leave::Erase)
     );
+    assert_ne!(
+        run.prescription.execute(&mut run.control, &check, HostRole::Steers),
+        refused,
+        "the wait is over"
+    );
 }
 
 #[test]

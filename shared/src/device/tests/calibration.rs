@@ -107,11 +107,13 @@ fn a_calibration_replaces_the_zero_of_an_earlier_check() {
 #[test]
 fn the_flight_recorder_sees_the_reading_that_the_ventilator_sees() {
     let mut control = control(DeviceKind::Simulated, None);
-    control.calibrate(SensorCorrection::new(&SOUND).unwrap());
+    let correction = SensorCorrection::new(&SOUND).unwrap();
+    control.calibrate(correction);
     begin(&mut control);
     let output = control.step(10.3);
     let recorded = control.moment(10.3, &output, 0).reading;
     assert_eq!(recorded.to_bits(), output.sample.unwrap().pressure.to_bits());
+    assert_eq!(recorded.to_bits(), correction.corrected(10.3).to_bits(), "the corrected one");
 }
 
 #[test]
