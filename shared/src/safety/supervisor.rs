@@ -57,7 +57,7 @@ pub const CUTS_MAX: u32 = 3;
 /// Distance of the other sensor below a pressure at its limit with which it denies that, cmH2O.
 const DENIED: f32 = 0.5 * FAR_APART;
 /// Fraction of that rise from which a reading responds to the gas.
-const RESPONSE: f32 = 0.3;
+pub const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
 pub const RESPONSES: u32 = 2;
 /// Recent rise of the flow to the patient that an effort causes, L/s: in a passive lung the flow falls with the pressure.

@@ -289,7 +289,15 @@ fn ladder() -> Vec<Conditions> {
         (Fault::LearnedDistrusted, distrusted),
         (Fault::CommandCapped, capped),
     ];
-    steps.map(|(fault, entry)| (fault, entry, clean_breaths())).to_vec()
+    let exit = |fault| match fault {
+        Fault::CommandCapped => format!(
+            "{}, or a breath with less than {} % of its rise",
+            clean_breaths(),
+            percent(supervisor::RESPONSE)
+        ),
+        _ => clean_breaths(),
+    };
+    steps.map(|(fault, entry)| (fault, entry, exit(fault))).to_vec()
 }
 
 /// The device and its host.

@@ -19,7 +19,7 @@ use shared::recorder::keeper::Keeper;
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS};
 use shared::safety::plateau::{DOUBTFUL, TUBE};
-use shared::safety::supervisor::{EFFORT, RESIDUAL_SLEW};
+use shared::safety::supervisor::{EFFORT, RESIDUAL_SLEW, RESPONSE};
 use shared::safety::{backup, expected, expiration, flow_monitor, lung_estimator, pressure_monitor};
 use shared::safety::{reference_volume, settling};
 use shared::settings::{LIMIT_MARGIN, Settings};
@@ -86,6 +86,7 @@ fn control() -> Vec<Claim> {
         says("outside 0 to {} % is not used", [number(COMMAND_MAX)]),
         says("and {} clean breaths in a row lead one step up", [number(CLEAN_BREATHS)]),
         says("their number doubles, up to {}.", [number(CLEAN_BREATHS << DOUBLINGS)]),
+        says("a breath with less than {} % of its rise lifts it at once", [percent(RESPONSE)]),
     ]
 }
 
