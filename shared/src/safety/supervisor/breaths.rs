@@ -130,7 +130,7 @@ impl Supervisor {
             if rise >= FULL_RISE * whole {
                 state.flow.rose(rise);
             }
-        } else if rise < RESPONSE * whole && !state.source.is_noisy() {
+        } else if rise < RESPONSE * whole {
             state.ladder.falls_short();
         }
     }

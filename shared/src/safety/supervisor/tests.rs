@@ -495,3 +495,19 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_breath_that_hardly_rises_lifts_the_cap_until_the_reading_is_noisy_again() {
+    // PEEP is 5 and PIP 20: 30 % of the rise end at 9.5 cmH2O.
+    let level = |pressure: f32, noise: f32| {
+        let mut run = Run::new();
+        run.state.ladder.step_down(Level::CappedPid);
+        for tick in 0..breath().inspiration_ticks() + 2 {
+            run.check(pressure + dither(tick) + noise * ((tick * 7 % 5) as f32 - 2.0), Some(tick));
+            run.filter(ControlOutput::plain(2.0), breath().phase(tick) != Phase::Inspiration);
+        }
+        run.state.level()
+    };
+    assert_eq!((level(9.2, 0.0), level(9.8, 0.0)), (Level::Pid, Level::CappedPid));
+    assert_eq!(level(9.2, 1.2), Level::CappedPid);
+}
