@@ -5,6 +5,8 @@ use crate::breath::{Breath, DEFAULT_PERIOD_US, paper_settings};
 use crate::settings::Settings;
 use core::ops::Range;
 
+mod gas;
+
 const PEEP: f32 = 5.0;
 
 /// Both sensors with their state.
@@ -127,6 +129,42 @@ fn a_noisy_sensor_stands_back_behind_a_quiet_one() {
 }
 
 #[test]
+fn noise_is_a_finding_unless_a_quiet_sensor_takes_the_place() {
+    let noisy = |n: u32| 5.0 + 1.2 * ((n * 7 % 5) as f32 - 2.0);
+    let mut run = Run::new();
+    (0..2).for_each(|_| _ = run.expiration(5.0, 9.0, 0.0));
+    let only = (0..300).map(|n| run.tick(noisy(n), 9.0)).last().unwrap();
+    assert!(run.state.outlet.doubted && near(only, noisy(299)), "the other one has lost a comparison");
+    assert_eq!((only.findings[0], only.replaced), (Some(Fault::ReadingNoisy), None));
+    let mut run = Run::new();
+    let higher = (0..300).map(|n| run.tick(noisy(n), 17.0 + noisy(n + 1))).last().unwrap();
+    assert!(near(higher, 17.0 + noisy(300)), "the other one is used, but noisy too");
+    assert_eq!((higher.findings[0], higher.replaced), (Some(Fault::ReadingNoisy), None));
+}
+
+#[test]
+fn only_the_noise_of_the_sensor_in_use_makes_the_reading_noisy() {
+    let is_noisy = |airway: f32, outlet: f32| {
+        let mut run = Run::new();
+        let swings = |n: u32, by: f32| 20.0 + by * ((n * 7 % 5) as f32 - 2.0);
+        (0..300).for_each(|n| _ = run.tick(swings(n, airway), swings(n, outlet)));
+        (run.state.uses_outlet, run.state.is_noisy())
+    };
+    assert_eq!([is_noisy(0.0, 0.0), is_noisy(0.0, 1.2)], [(false, false); 2]);
+    assert_eq!((is_noisy(1.2, 0.0), is_noisy(1.2, 1.2)), ((true, false), (false, true)));
+}
+
+#[test]
+fn a_check_that_is_left_out_finds_nothing() {
+    let mut run = Run::new();
+    run.source = PressureSource::new(1000, Monitors::ALL.without(Fault::ReadingNotANumber));
+    run.ticks(100, 20.0, 23.0);
+    let missing = run.ticks(20, f32::NAN, 23.0);
+    assert_eq!(missing.findings, [None; 3]);
+    assert!(matches!(missing.reading, Reading::Bridged(_)));
+}
+
+#[test]
 fn the_higher_reading_shows_peep_unless_its_flow_or_a_lost_sensor_denies_it() {
     let mut run = Run::new();
     run.ticks(100, PEEP, PEEP);
@@ -155,60 +193,6 @@ fn far_apart_for_20_ms_the_higher_one_counts() {
     assert_eq!(run.ticks(1000, 20.0, 29.0).findings, [None; 3], "the tube's drop at full flow");
 }
 
-/// Ticks of an inspiration with a flow of the valve, at the pressures of airway and outlet by the tick; the last choice.
-fn inspiration(run: &mut Run, pressures: impl Fn(u32) -> (f32, f32)) -> Chosen {
-    let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
-    let choices = (0..300).map(|tick| {
-        let (airway, outlet) = pressures(tick);
-        let noise = |shift: u32| 0.07 * (((tick + shift) * 7 % 5) as f32 - 2.0);
-        let readings = Readings { airway: airway + noise(0), outlet: outlet + noise(2), flow: 0.5 };
-        let chosen = run.source.check(&mut run.state, &readings, Expected::Any, 0.5);
-        run.source.record(&mut run.state, &breath.at(tick), 50, &readings, 0.5);
-        chosen
-    });
-    choices.last().unwrap_or_default()
-}
-
-#[test]
-fn a_sensor_that_stays_up_in_the_fall_belies_no_other_while_a_leak_takes_gas() {
-    let mut run = Run::new();
-    run.ticks(100, PEEP, PEEP);
-    inspiration(&mut run, |_| (25.0, 25.0));
-    run.state.inspired();
-    let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
-    for tick in 1500..1600 {
-        let readings = Readings { airway: 10.0 + 0.01 * (tick % 3) as f32, outlet: 25.0, flow: 0.2 };
-        run.source.check(&mut run.state, &readings, Expected::Any, 0.2);
-        run.source.record(&mut run.state, &breath.at(tick), 50, &readings, 0.2);
-        assert!(run.state.airway.is_sound() && !run.state.airway.doubted);
-    }
-}
-
-#[test]
-fn while_gas_goes_in_the_sensor_that_follows_it_is_believed_until_rest_tells_more() {
-    let rises = |tick: u32| PEEP + (0.3 * tick as f32).min(20.0);
-    let lags = |tick: u32| rises(tick.saturating_sub(100));
-    let mut run = Run::new();
-    run.ticks(100, PEEP, PEEP);
-    assert!(near(inspiration(&mut run, |tick| (lags(tick.min(160)), rises(tick))), 25.0));
-    assert!(run.state.undecided && !run.state.airway.is_sound() && run.state.outlet.is_sound());
-    assert!(near(run.ticks(100, 20.0, 8.0), 8.0), "in the fall it lags as well");
-    assert!((0..2).all(|_| !run.expiration(PEEP, PEEP, 0.0)) && run.state.airway.doubted);
-    run.expiration(PEEP, PEEP, 0.0);
-    assert!(!run.state.airway.doubted && !run.state.undecided, "agreed in three expirations");
-    // An offset follows the gas: PEEP tells which one has it, in one expiration.
-    let mut run = Run::new();
-    run.ticks(100, PEEP, 12.0 + PEEP);
-    assert!(near(inspiration(&mut run, |tick| (rises(tick), 12.0 + rises(tick))), 37.0));
-    assert!(!run.state.undecided, "the higher one counts");
-    // One that stands still does not follow, and two expirations elsewhere decide.
-    let mut run = Run::new();
-    run.ticks(100, 8.0, PEEP);
-    assert!(near(inspiration(&mut run, |tick| (8.0, rises(tick))), 25.0) && run.state.undecided);
-    assert!(!run.expiration(8.0, PEEP, 0.0) && run.state.undecided, "it may be a strain's");
-    assert!(run.expiration(8.0, PEEP, 0.0) && run.state.airway.doubted);
-}
-
 #[test]
 fn the_other_sensor_is_told_until_one_is_lost() {
     let mut run = Run::new();
@@ -234,7 +218,13 @@ fn while_gas_flows_out_a_pressure_above_peep_is_no_sign_of_a_wrong_sensor() {
     assert_eq!(doubted(9.0, 2.0, 0.0), (true, false), "at rest");
     assert_eq!(doubted(9.0, 2.0, -0.6), (false, true), "4 cmH2O at 0.6 L/s");
     assert_eq!(doubted(9.0, 5.5, -0.1), (true, false), "a sensor that lags");
-    assert_eq!(doubted(9.0, 5.5, -0.6), (false, false), "either may be right");
+    // 0.6 L/s explain 4.2 cmH2O above PEEP.
+    assert_eq!(
+        [9.0, 10.1].map(|airway| doubted(airway, 5.5, -0.6)),
+        [(false, false); 2],
+        "either may be right"
+    );
+    assert_eq!(doubted(10.3, 5.5, -0.6), (true, false), "more than the flow explains");
 }
 
 #[test]
@@ -248,7 +238,9 @@ fn a_sensor_that_the_gas_denies_gives_way_to_the_other_one() {
         (first, uses)
     };
     assert_eq!(denies(14.0, 5.0), (true, Some(5.0)));
+    assert_eq!(denies(14.0, 9.0), (true, Some(9.0)));
     assert_eq!(denies(5.0, 5.5), (false, Some(5.0)), "they read the same");
+    assert_eq!([denies(7.0, 5.0), denies(7.25, 5.0)], [(false, Some(7.0)), (true, Some(5.0))]);
     assert_eq!(denies(9.0, f32::NAN), (false, Some(9.0)), "there is no other");
 }
 
@@ -339,6 +331,24 @@ fn a_sensor_with_a_wrong_gain_is_out_of_use_until_it_agrees_again() {
         run.expiration(5.0, 5.0, 0.0);
     });
     assert!(!run.state.airway.doubted);
+}
+
+#[test]
+fn what_shows_at_rest_or_is_left_out_is_not_judged_at_the_end_of_inspirations() {
+    let wrong = |run: &mut Run| (0..3).any(|_| run.plateau(25.0, 31.0));
+    let mut run = Run::new();
+    run.expiration(10.0, 5.0, 0.0);
+    assert!(!wrong(&mut run) && run.state.are_both_sound(), "PEEP will tell which one is wrong");
+    run.expiration(5.0, 5.0, 0.0);
+    assert!(wrong(&mut run) && run.state.airway.doubted);
+    let mut run = Run::new();
+    run.source = PressureSource::new(1000, Monitors::ALL.without(Fault::SensorsDisagree));
+    run.ticks(10, 5.0, 5.0);
+    assert!(!wrong(&mut run) && run.state.are_both_sound());
+    let mut run = Run::new();
+    run.ticks(100, 5.0, 5.0);
+    run.ticks(20, f32::NAN, 5.0);
+    assert!(!wrong(&mut run) && !run.state.outlet.doubted, "one is lost");
 }
 
 #[test]
