@@ -499,6 +499,22 @@ mod tests {
     }
 
     #[test]
+    fn a_little_bias_bends_no_line_and_a_larger_one_that_of_the_pressure_only_well_above_peep() {
+        // The expiration begins at 1500: a line that begins anew there is not drawn yet when the effort comes.
+        let at = |sensitivity: (f32, f32), bias: f32, above: f32| {
+            let settings = *breath(sensitivity.0, sensitivity.1).settings();
+            let settings = Settings { expiratory_bias: bias, ..settings };
+            let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
+            let effort = |tick| effort(tick, 1550);
+            let at = found_coarse(&breath, |tick| (PEEP + above - effort(tick), effort(tick) / 20.0));
+            at.is_some_and(|at| (1550..1650).contains(&at))
+        };
+        assert_eq!([0.0, LITTLE_BIAS, 6.25].map(|bias| at((0.0, 0.6), bias, 0.0)), [true, true, false]);
+        assert_eq!([0.0, RESISTED, 2.25].map(|above| at((0.4, 0.0), 10.0, above)), [true, true, false]);
+        assert!(at((0.4, 0.0), LITTLE_BIAS, 2.25));
+    }
+
+    #[test]
     fn the_flow_of_a_valve_that_opens_to_its_bias_is_no_effort() {
         let at = |bias: f32, begins: u32| {
             let settings = Settings { expiratory_bias: bias, ..*breath(0.0, 0.6).settings() };
