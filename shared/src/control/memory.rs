@@ -465,10 +465,10 @@ mod tests {
     #[test]
     fn a_breath_that_surprises_makes_the_memory_forget() {
         let mut memory = after(usize::from(LEARNING), 0.1);
-        breathe(&mut memory, 1000, 0.1 - 0.99 * SURPRISE, 0.5);
-        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt, "less than that does not surprise");
+        breathe(&mut memory, 1000, 0.1 - 0.49 / ERROR_SCALE, 0.5);
+        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt, "less than half a cmH2O does not surprise");
         let mut memory = after(usize::from(LEARNING), 0.1);
-        breathe(&mut memory, 1000, 0.1 + 1.01 * SURPRISE, 0.5);
+        breathe(&mut memory, 1000, 0.1 + 0.51 / ERROR_SCALE, 0.5);
         assert_eq!(memory.learn(Lesson::Adopt), Lesson::Forget);
         assert_eq!(bits(&memory, 300), [0; RECALLED]);
         // The controller starts to learn again, so that nothing surprises for a while.
