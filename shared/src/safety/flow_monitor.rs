@@ -53,7 +53,7 @@ const REPEATS: f32 = 0.05;
 /// Weight of a new breath in the usual one.
 const NEW_BREATH: f32 = 0.3;
 /// Breaths in a row that contradict the gas after which the sensor is not used.
-pub const BELIED: u32 = 2;
+pub const BELIED: u32 = 4;
 /// The same with more gas out than in: a stiffer lung or a lower PEEP lets gas out for a few.
 pub const ONLY_OUT: u32 = 5;
 /// Time for which a sensor must be sound before it is used again, s.

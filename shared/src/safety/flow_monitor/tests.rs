@@ -85,16 +85,16 @@ fn a_quiet_sensor_may_show_no_flow_in_an_occluded_tube_but_not_while_the_pressur
     let mut run = Run::new();
     (0..5).for_each(|_| assert_eq!(run.breath(coarse), None));
     assert_eq!(Run { valve: 0.04, lung: 0.0, ..run }.lost_after(coarse), None);
-    assert_eq!(run.lost_after(|_| 0.0), Some(2));
+    assert_eq!(run.lost_after(|_| 0.0), Some(4));
     let mut noisy = Run { valve: 0.04, lung: 0.0, ..Run::known() };
     assert_eq!(noisy.lost_after(|_| 0.0), Some(1), "it had noise before");
 }
 
 #[test]
-fn a_reading_that_stands_still_with_noise_is_lost_after_two_breaths() {
+fn a_reading_that_stands_still_with_noise_is_lost_after_four_breaths() {
     for constant in [0.0, 0.02, 0.1, 0.3, 0.43, -0.1] {
-        assert_eq!(Run::known().lost_after(noisy(constant)), Some(2), "{constant} L/s");
-        assert_eq!(Run::new().lost_after(noisy(constant)), Some(2), "{constant} L/s from the start");
+        assert_eq!(Run::known().lost_after(noisy(constant)), Some(4), "{constant} L/s");
+        assert_eq!(Run::new().lost_after(noisy(constant)), Some(4), "{constant} L/s from the start");
     }
 }
 
@@ -114,13 +114,13 @@ fn a_reading_with_noise_that_repeats_itself_is_lost_within_the_breath() {
 }
 
 #[test]
-fn a_reversed_sensor_and_one_far_off_are_lost_after_two_breaths() {
+fn a_reversed_sensor_and_one_far_off_are_lost_after_four_breaths() {
     for gain in [-1.0, 0.2, 0.4, 2.2, 4.0] {
-        assert_eq!(Run::known().lost_after(|flow| gain * flow), Some(2), "a gain of {gain}");
+        assert_eq!(Run::known().lost_after(|flow| gain * flow), Some(4), "a gain of {gain}");
     }
-    assert_eq!(Run::new().lost_after(|flow| -flow), Some(2), "from the start");
+    assert_eq!(Run::new().lost_after(|flow| -flow), Some(4), "from the start");
     for offset in [-0.3, 0.3, 1.0] {
-        assert_eq!(Run::known().lost_after(|flow| flow + offset), Some(2), "{offset} L/s");
+        assert_eq!(Run::known().lost_after(|flow| flow + offset), Some(4), "{offset} L/s");
     }
 }
 
@@ -138,7 +138,7 @@ fn more_gas_out_than_in_is_an_offset_after_five_breaths() {
 fn more_gas_in_than_the_valve_gives_is_an_offset_whatever_the_lung() {
     let mut small = Run { valve: 0.08, lung: 0.05, ..Run::new() };
     (0..5).for_each(|_| assert_eq!(small.breath(|flow| flow), None));
-    assert_eq!(small.lost_after(|flow| flow + 0.3), Some(2));
+    assert_eq!(small.lost_after(|flow| flow + 0.3), Some(4));
 }
 
 #[test]
@@ -164,14 +164,14 @@ fn a_leak_is_gas_that_the_valve_gives() {
 fn a_newborns_machine_gives_a_fifth_of_the_models_gas() {
     let mut run = Run { valve: 0.2, lung: 0.03, ..Run::new() };
     assert_eq!(run.lost_after(|flow| flow), None);
-    assert_eq!(run.lost_after(|flow| 0.4 * flow), Some(2));
+    assert_eq!(run.lost_after(|flow| 0.4 * flow), Some(4));
 }
 
 #[test]
 fn another_lung_is_another_usual_volume() {
     let mut run = Run { valve: 0.25, lung: 0.15, ..Run::known() };
     (0..9).for_each(|_| assert_eq!(run.breath(|flow| flow), None));
-    assert_eq!(run.lost_after(|flow| 0.4 * flow), Some(2));
+    assert_eq!(run.lost_after(|flow| 0.4 * flow), Some(4));
 }
 
 #[test]
@@ -181,7 +181,7 @@ fn a_single_breath_with_another_gas_makes_no_wrong_share_the_usual_one() {
         (run.lung, run.valve) = (0.2, 0.23);
         run.breath(fault);
         (run.lung, run.valve) = (0.4, 0.43);
-        assert!(run.lost_after(fault).is_some_and(|breaths| breaths <= 2));
+        assert!(run.lost_after(fault).is_some_and(|breaths| breaths <= 4));
     }
 }
 
@@ -202,7 +202,7 @@ fn without_its_pressure_a_breath_tells_nothing_of_the_gas() {
 #[test]
 fn little_gas_tells_nothing() {
     // 40 mL for the circuit, and 60 more tell.
-    for (valve, lost) in [(0.0999, None), (0.1001, Some(2))] {
+    for (valve, lost) in [(0.0999, None), (0.1001, Some(4))] {
         let mut run = Run { valve, lung: 0.06, ..Run::new() };
         assert_eq!(run.lost_after(|flow| -flow), lost, "{valve} L/s");
     }
@@ -215,7 +215,7 @@ fn a_lost_sensor_is_used_again_after_five_seconds_of_sound_breaths() {
     assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost));
     assert!(run.state.is_doubtful());
     assert_eq!((run.breath(|flow| flow), run.state.is_lost()), (None, false));
-    assert_eq!(run.lost_after(noisy(0.1)), Some(2));
+    assert_eq!(run.lost_after(noisy(0.1)), Some(4));
     run.breath(|flow| flow);
     run.breath(noisy(0.1));
     assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost), "5 s in a row");
@@ -242,7 +242,7 @@ fn a_single_contradiction_is_forgotten_after_five_seconds_that_tell_nothing() {
 #[test]
 fn a_sensor_that_was_lost_by_its_gas_is_not_found_by_breaths_without_any() {
     let mut run = Run::known();
-    assert_eq!(run.lost_after(noisy(0.1)), Some(2));
+    assert_eq!(run.lost_after(noisy(0.1)), Some(4));
     let mut occluded = Run { valve: 0.04, lung: 0.0, ..run };
     for _ in 0..9 {
         assert_eq!(occluded.breath(noisy(0.1)), Some(Fault::FlowSensorLost));
@@ -255,7 +255,7 @@ fn without_a_pressure_gas_that_does_not_arrive_is_an_occlusion_and_one_that_neve
     assert_eq!([run.breath(|flow| flow), run.breath(noisy(0.0))], [None; 2]);
     assert_eq!(run.breath(noisy(0.0)), Some(Fault::Occlusion));
     assert_eq!([run.breath(noisy(0.0)), run.breath(|flow| flow)], [Some(Fault::Occlusion), None]);
-    assert_eq!(run.lost_after(noisy(0.3)), Some(2));
+    assert_eq!(run.lost_after(noisy(0.3)), Some(4));
     assert_eq!(Run { rise: None, ..Run::new() }.lost_after(noisy(0.0)), None, "nothing is usual yet");
 }
 
