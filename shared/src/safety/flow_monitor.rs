@@ -52,8 +52,10 @@ pub const STANDS: f32 = 0.1;
 const REPEATS: f32 = 0.05;
 /// Weight of a new breath in the usual one.
 const NEW_BREATH: f32 = 0.3;
-/// Breaths in a row that contradict the gas after which the sensor is not used.
+/// Breaths in a row that contradict the gas after which the sensor is not used: a patient's efforts make the gas differ from the usual.
 pub const BELIED: u32 = 4;
+/// The same while the reading hardly swings, as with no patient.
+pub const BELIED_STILL: u32 = 2;
 /// The same with more gas out than in: a stiffer lung or a lower PEEP lets gas out for a few.
 pub const ONLY_OUT: u32 = 5;
 /// Time for which a sensor must be sound before it is used again, s.
@@ -301,7 +303,10 @@ impl FlowMonitor {
         state.unlike = in_a_row(state.unlike, unlike && verdict == Verdict::Silent && !state.is_lost());
         state.only_out = in_a_row(state.only_out, gas.net < -allowed_net(&gas));
         state.belied = match verdict {
-            Verdict::Belied | Verdict::Unbalanced => state.belied + 1,
+            Verdict::Belied | Verdict::Unbalanced => {
+                let still = gas.swing.abs() < STILL_OF_MODEL * gas.valve;
+                state.belied + if still { BELIED / BELIED_STILL } else { 1 }
+            }
             Verdict::Sound | Verdict::Blocked => 0,
             Verdict::Frozen | Verdict::Silent => state.belied,
         };

@@ -351,11 +351,12 @@ fn gas() -> Vec<Conditions> {
     );
     let lost = format!(
         "no number in more than {} % of a breath's flow readings; or the same reading throughout a breath, \
-         or for {} s from a sensor with noise, volumes in {} breaths in a row that the valve's gas contradicts, or more than {} L/s out than in for \
-         {} breaths; volumes and leaks are not monitored until it is back",
+         or for {} s from a sensor with noise, volumes in {} breaths in a row that the valve's gas contradicts, {} if they \
+         hardly swing, or more than {} L/s out than in for {} breaths; volumes and leaks are not monitored until it is back",
         percent(1.0 - MEASURED),
         number(flow_monitor::STANDS),
         number(flow_monitor::BELIED),
+        number(flow_monitor::BELIED_STILL),
         number(flow_monitor::NET),
         number(flow_monitor::ONLY_OUT)
     );

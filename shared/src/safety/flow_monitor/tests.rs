@@ -85,16 +85,16 @@ fn a_quiet_sensor_may_show_no_flow_in_an_occluded_tube_but_not_while_the_pressur
     let mut run = Run::new();
     (0..5).for_each(|_| assert_eq!(run.breath(coarse), None));
     assert_eq!(Run { valve: 0.04, lung: 0.0, ..run }.lost_after(coarse), None);
-    assert_eq!(run.lost_after(|_| 0.0), Some(4));
+    assert_eq!(run.lost_after(|_| 0.0), Some(2));
     let mut noisy = Run { valve: 0.04, lung: 0.0, ..Run::known() };
     assert_eq!(noisy.lost_after(|_| 0.0), Some(1), "it had noise before");
 }
 
 #[test]
-fn a_reading_that_stands_still_with_noise_is_lost_after_four_breaths() {
+fn a_reading_that_stands_still_with_noise_is_lost_after_two_breaths() {
     for constant in [0.0, 0.02, 0.1, 0.3, 0.43, -0.1] {
-        assert_eq!(Run::known().lost_after(noisy(constant)), Some(4), "{constant} L/s");
-        assert_eq!(Run::new().lost_after(noisy(constant)), Some(4), "{constant} L/s from the start");
+        assert_eq!(Run::known().lost_after(noisy(constant)), Some(2), "{constant} L/s");
+        assert_eq!(Run::new().lost_after(noisy(constant)), Some(2), "{constant} L/s from the start");
     }
 }
 
@@ -215,7 +215,7 @@ fn a_lost_sensor_is_used_again_after_five_seconds_of_sound_breaths() {
     assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost));
     assert!(run.state.is_doubtful());
     assert_eq!((run.breath(|flow| flow), run.state.is_lost()), (None, false));
-    assert_eq!(run.lost_after(noisy(0.1)), Some(4));
+    assert_eq!(run.lost_after(noisy(0.1)), Some(2));
     run.breath(|flow| flow);
     run.breath(noisy(0.1));
     assert_eq!(run.breath(|flow| flow), Some(Fault::FlowSensorLost), "5 s in a row");
@@ -242,7 +242,7 @@ fn a_single_contradiction_is_forgotten_after_five_seconds_that_tell_nothing() {
 #[test]
 fn a_sensor_that_was_lost_by_its_gas_is_not_found_by_breaths_without_any() {
     let mut run = Run::known();
-    assert_eq!(run.lost_after(noisy(0.1)), Some(4));
+    assert_eq!(run.lost_after(noisy(0.1)), Some(2));
     let mut occluded = Run { valve: 0.04, lung: 0.0, ..run };
     for _ in 0..9 {
         assert_eq!(occluded.breath(noisy(0.1)), Some(Fault::FlowSensorLost));
@@ -255,7 +255,7 @@ fn without_a_pressure_gas_that_does_not_arrive_is_an_occlusion_and_one_that_neve
     assert_eq!([run.breath(|flow| flow), run.breath(noisy(0.0))], [None; 2]);
     assert_eq!(run.breath(noisy(0.0)), Some(Fault::Occlusion));
     assert_eq!([run.breath(noisy(0.0)), run.breath(|flow| flow)], [Some(Fault::Occlusion), None]);
-    assert_eq!(run.lost_after(noisy(0.3)), Some(4));
+    assert_eq!(run.lost_after(noisy(0.3)), Some(2));
     assert_eq!(Run { rise: None, ..Run::new() }.lost_after(noisy(0.0)), None, "nothing is usual yet");
 }
 
