@@ -54,7 +54,7 @@ const REPEATS: f32 = 0.05;
 const NEW_BREATH: f32 = 0.3;
 /// Breaths in a row that contradict the gas after which the sensor is not used: a patient's efforts make the gas differ from the usual.
 pub const BELIED: u32 = 4;
-/// The same while the reading hardly swings, as with no patient.
+/// The same while the reading hardly swings, which no effort does.
 pub const BELIED_STILL: u32 = 2;
 /// The same with more gas out than in: a stiffer lung or a lower PEEP lets gas out for a few.
 pub const ONLY_OUT: u32 = 5;

@@ -1,8 +1,8 @@
 //! The ladder of trust: learned controller, its PID, the compiled-in PID with a capped command, backup ventilation.
 //!
 //! A breath whose gas raises the pressure to its limit is a strike; a cough is none. Strikes lead down to the capped PID; clean
-//! breaths lead up again, after each return more of them, and one to which the cap leaves too little gas lifts it. Backup ventilation does not depend on strikes: it runs while no
-//! pressure reading is sound.
+//! breaths lead up again, after each return more of them, and one to which the cap leaves too little gas lifts it. Backup
+//! ventilation does not depend on strikes: it runs while no pressure reading is sound.
 
 use serde::{Deserialize, Serialize};
 
@@ -71,7 +71,7 @@ impl Ladder {
         fault
     }
 
-    /// Lifts the cap, with which a breath has hardly raised the pressure: a leak takes what it lets through.
+    /// Lifts the cap under which a breath has hardly raised the pressure: a leak takes what it lets through.
     pub fn falls_short(&mut self) {
         if self.level == Level::CappedPid {
             (self.level, self.clean) = (Level::Pid, 0);
