@@ -56,6 +56,7 @@ const NEW_BREATH: f32 = 0.3;
 pub const BELIED: u32 = 4;
 /// The same while the reading hardly swings, which no effort does.
 pub const BELIED_STILL: u32 = 2;
+const _: () = assert!(BELIED.is_multiple_of(BELIED_STILL), "a breath that hardly swings counts as several");
 /// The same with more gas out than in: a stiffer lung or a lower PEEP lets gas out for a few.
 pub const ONLY_OUT: u32 = 5;
 /// Time for which a sensor must be sound before it is used again, s.
