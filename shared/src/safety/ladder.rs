@@ -1,8 +1,9 @@
 //! The ladder of trust: learned controller, its PID, the compiled-in PID with a capped command, backup ventilation.
 //!
 //! A breath whose gas raises the pressure to its limit is a strike; a cough is none. Strikes lead down to the capped PID; clean
-//! breaths lead up again, after each return more of them, and one to which the cap leaves too little gas lifts it. Backup
-//! ventilation does not depend on strikes: it runs while no pressure reading is sound.
+//! breaths lead up again, after each return more of them, and one to which the cap leaves too little gas lifts it. Breaths in a row
+//! whose gas stays out of the lung lead to the capped PID as well, and there each halves the cap. Backup ventilation does not
+//! depend on strikes: it runs while no pressure reading is sound.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,6 +11,8 @@ use super::alarms::Fault;
 
 /// Highest command of the capped PID, percent.
 pub const CAP: f32 = 40.0;
+/// Halvings of [`CAP`]: in the end 10 %, behind a tube that keeps out the gas of the capped PID as well.
+pub const HALVINGS: u8 = 2;
 /// Consecutive strikes at which the PID replaces the learned controller, unless one has hardly let any gas in.
 pub const LEARNED_STRIKES: u32 = 2;
 /// Consecutive clean breaths that lead one level up for the first time; each step up doubles their number.
@@ -49,12 +52,19 @@ pub struct Ladder {
     strikes: u32,
     clean: u32,
     returns: u32,
+    /// Halvings of the cap.
+    halvings: u8,
 }
 
 impl Ladder {
     /// The current level.
     pub fn level(&self) -> Level {
         self.level
+    }
+
+    /// Highest command of the capped PID, percent.
+    pub fn cap(&self) -> f32 {
+        CAP / (1_u32 << self.halvings) as f32
     }
 
     /// Goes down to `level`, unless already there or below.
@@ -71,10 +81,27 @@ impl Ladder {
         fault
     }
 
-    /// Lifts the cap under which a breath has hardly raised the pressure: a leak takes what it lets through.
+    /// Lowers the command after breaths whose gas has stayed out of the lung: caps it first, then halves the cap.
+    pub fn chokes(&mut self) {
+        if self.level == Level::CappedPid {
+            self.halvings = HALVINGS.min(self.halvings + 1);
+        }
+        self.step_down(Level::CappedPid);
+    }
+
+    /// Raises or lifts the cap under which a breath has hardly raised the pressure: a leak takes what it lets through.
     pub fn falls_short(&mut self) {
         if self.level == Level::CappedPid {
-            (self.level, self.clean) = (Level::Pid, 0);
+            self.clean = 0;
+            self.raise_cap();
+        }
+    }
+
+    /// One step up from the capped PID.
+    fn raise_cap(&mut self) {
+        match self.halvings.checked_sub(1) {
+            Some(fewer) => self.halvings = fewer,
+            None => self.level = Level::Pid,
         }
     }
 
@@ -98,7 +125,10 @@ impl Ladder {
         (self.strikes, self.clean) = (0, self.clean.saturating_add(1));
         let wanted = CLEAN_BREATHS << self.returns.min(DOUBLINGS);
         if self.level != Level::Learned && self.clean >= wanted {
-            self.level = if self.level == Level::CappedPid { Level::Pid } else { Level::Learned };
+            match self.level {
+                Level::CappedPid => self.raise_cap(),
+                _ => self.level = Level::Learned,
+            }
             (self.clean, self.returns) = (0, self.returns.saturating_add(1));
         }
         None
@@ -165,6 +195,33 @@ mod tests {
         let mut ladder = Ladder::default();
         ladder.falls_short();
         assert_eq!(ladder, Ladder::default());
+    }
+
+    #[test]
+    fn breaths_that_choke_cap_the_command_and_halve_the_cap_and_the_way_back_is_the_same() {
+        let now = |ladder: &Ladder| (ladder.level(), ladder.cap());
+        let choked = || {
+            let mut ladder = Ladder::default();
+            let down = [(); 4].map(|()| {
+                ladder.chokes();
+                now(&ladder)
+            });
+            assert_eq!(down, [40.0, 20.0, 10.0, 10.0].map(|cap| (Level::CappedPid, cap)));
+            ladder
+        };
+        let up = [(Level::CappedPid, 20.0), (Level::CappedPid, 40.0), (Level::Pid, 40.0)];
+        let mut ladder = choked();
+        let short = [(); 3].map(|()| {
+            ladder.falls_short();
+            now(&ladder)
+        });
+        assert_eq!(short, up);
+        let mut ladder = choked();
+        let clean = [5, 10, 20].map(|breaths| {
+            (0..breaths).for_each(|_| assert_eq!(ladder.breath_ended(InTime), None));
+            now(&ladder)
+        });
+        assert_eq!(clean, up);
     }
 
     proptest! {

@@ -25,7 +25,7 @@ use super::expiration::{Expiration, ExpirationState, TIGHT};
 use super::filter::ValveCommand;
 use super::flow_monitor::{FlowMonitor, FlowState};
 use super::indications::Indications;
-use super::ladder::{CAP, Ladder, Level};
+use super::ladder::{Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonitor, PressureState};
@@ -580,7 +580,7 @@ impl Supervisor {
         state.learned += math::limit(change, -self.slew, self.slew);
         debug_assert!(state.learned.is_finite(), "it moves in steps, whatever a controller computes");
         let capped = belief.level == Level::CappedPid || state.breath.is_disconnected();
-        let cap = if capped { CAP } else { COMMAND_MAX };
+        let cap = if capped { state.ladder.cap() } else { COMMAND_MAX };
         (output.base + state.learned).min(cap)
     }
 

@@ -17,9 +17,9 @@ use shared::link::refusal::AUDIO_PAUSE_MAX;
 use shared::recorder::LOG_INTERVAL;
 use shared::recorder::keeper::Keeper;
 use shared::safety::host::SILENCE_MAX;
-use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS};
+use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS, HALVINGS};
 use shared::safety::plateau::{DOUBTFUL, TUBE};
-use shared::safety::supervisor::{EFFORT, RESIDUAL_SLEW, RESPONSE};
+use shared::safety::supervisor::{CUTS_MAX, EFFORT, RESIDUAL_SLEW, RESPONSE};
 use shared::safety::{backup, expected, expiration, flow_monitor, lung_estimator, pressure_monitor};
 use shared::safety::{reference_volume, settling};
 use shared::settings::{LIMIT_MARGIN, Settings};
@@ -87,6 +87,8 @@ fn control() -> Vec<Claim> {
         says("and {} clean breaths in a row lead one step up", [number(CLEAN_BREATHS)]),
         says("their number doubles, up to {}.", [number(CLEAN_BREATHS << DOUBLINGS)]),
         says("a breath with less than {} % of its rise lifts it at once", [percent(RESPONSE)]),
+        says("Behind a narrowed tube {} breaths", [number(CUTS_MAX)]),
+        says("down to {} %.", [number(CAP / (1_u32 << HALVINGS) as f32)]),
     ]
 }
 

@@ -13,6 +13,7 @@ use super::{CUTS_MAX, RESPONSE, RESPONSES, Supervisor, SupervisorState};
 use crate::breath::{Breath, Moment};
 use crate::sensor::Readings;
 use crate::settings::Settings;
+use core::cmp::Ordering;
 
 /// Fraction of the rise from PEEP to PIP that a good inspiration reaches.
 const GOOD_RISE: f32 = 0.7;
@@ -47,6 +48,12 @@ impl Supervisor {
         if state.cuts >= CUTS_MAX {
             let one_sensor = state.cut == Cut::Denied;
             self.report(state, if one_sensor { Fault::SensorsDisagree } else { Fault::HighPressure });
+            // No cough keeps out the gas of three breaths in a row: a tube has narrowed.
+            let stays_out =
+                state.backup.has_given_little() || state.backup.gas_shown() == Some(Ordering::Less);
+            if !one_sensor && stays_out {
+                state.ladder.chokes();
+            }
         }
         if state.missed == 0 {
             state.misses = 0;
