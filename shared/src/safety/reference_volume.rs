@@ -34,7 +34,7 @@ pub const ADOPTED: f32 = 300.0;
 /// Time of which the smallest group is kept, s. The reference is that of the `OLDER` such times before the last two.
 pub const SPAN: f32 = 60.0;
 const OLDER: usize = 3;
-/// Groups after which the first such time ends.
+/// Least groups of such a time, after which the first one ends.
 const FIRST_GROUPS: u8 = 2;
 /// Share of the volume up to which the gas of a leak may pass beside it in a breath that becomes part of the reference.
 const LEAKY: f32 = 0.5;
@@ -215,8 +215,13 @@ impl ReferenceVolume {
             self.groups = self.groups.saturating_add(1);
         }
         self.covers += group.seconds;
-        let is_first = self.smallest[1].volume <= 0.0 && self.groups >= FIRST_GROUPS;
+        let enough = self.groups >= FIRST_GROUPS;
+        let is_first = self.smallest[1].volume <= 0.0 && enough;
         if is_first || self.covers >= SPAN {
+            // A single group between leaks may be that of a strain.
+            if !enough {
+                self.smallest[0] = Driven::default();
+            }
             self.smallest.rotate_right(1);
             (self.smallest[0], self.covers, self.groups) = (Driven::default(), 0.0, 0);
         }
@@ -512,5 +517,19 @@ mod tests {
         let leaky = BreathVolumes { inspired: 300.0, expired: 300.0, leaked: 400.0 };
         (0..140).for_each(|_| run.reference.add(leaky, drive, 3.0));
         assert!(run.reference.expected(&drive).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_single_group_in_a_minute_of_leaks_is_no_reference() {
+        let drive = Drive::of(&paper_settings(25.0));
+        let of = |volume, leaked| BreathVolumes { inspired: volume, expired: volume, leaked };
+        let after = |groups: usize| {
+            let mut reference = ReferenceVolume::default();
+            (0..60).for_each(|_| reference.add(of(500.0, 400.0), drive, 3.0));
+            // The leak ends while the patient strains.
+            (0..3 * groups).for_each(|_| reference.add(of(1300.0, 0.0), drive, 3.0));
+            reference.expected(&drive) > 0.0
+        };
+        assert_eq!([1, 3].map(after), [false, true]);
     }
 }
