@@ -151,6 +151,11 @@ impl Backup {
         self.good.is_some_and(|good| self.modelled < LITTLE * good.modelled)
     }
 
+    /// Whether the flow sensor has shown but little of the good breaths' gas in the running inspiration.
+    pub fn has_let_in_little(&self) -> bool {
+        self.course.as_ref().is_some_and(|course| self.measured < LITTLE * course.whole)
+    }
+
     /// Whether the flow sensor has shown far less gas in the running inspiration than the valve's model.
     pub fn lacks_gas(&self) -> bool {
         self.measured < PLAUSIBLE.0 * self.modelled - IN_CIRCUIT
@@ -174,7 +179,8 @@ impl Backup {
 
     /// Rise of the pressure per volume of the last good breaths, cmH2O/mL; none before the first with a sound flow sensor.
     pub fn elastance(&self) -> Option<f32> {
-        let course = self.course.as_ref().filter(|course| course.whole > 0.0)?;
+        let course = self.course.as_ref()?;
+        debug_assert!(course.whole > 0.0, "only measured gas becomes part of it");
         self.good.map(|good| good.rise / course.whole)
     }
 

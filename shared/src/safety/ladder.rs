@@ -81,7 +81,9 @@ impl Ladder {
         fault
     }
 
-    /// Lowers the command after breaths whose gas has stayed out of the lung: caps it first, then halves the cap.
+    /// Lowers the command after breaths whose gas has stayed out of the lung: caps it first, then halves the cap. So rare that the
+    /// ticks need not make room for it.
+    #[cold]
     pub fn chokes(&mut self) {
         if self.level == Level::CappedPid {
             self.halvings = HALVINGS.min(self.halvings + 1);

@@ -347,11 +347,11 @@ impl Supervisor {
                     state.flow.inspired(Ordering::Less);
                 }
                 let by_first = state.backup.has_given_little() && state.shows_gas(flow);
-                let by_gas = state.lung.explains(0.5 * (limit + settings.pip));
-                state.cut = match (denied(limit, DENIED), by_first, by_gas) {
-                    (true, ..) => Cut::Denied,
-                    (_, true, _) => Cut::ByFirstGas,
-                    (.., true) => Cut::ByGas,
+                state.cut = match (denied(limit, DENIED), by_first) {
+                    (true, _) => Cut::Denied,
+                    (_, true) => Cut::ByFirstGas,
+                    _ if state.backup.has_let_in_little() => Cut::KeptOut,
+                    _ if state.lung.explains(0.5 * (limit + settings.pip)) => Cut::ByGas,
                     _ => Cut::ByPatient,
                 };
                 if state.open() == 0 {

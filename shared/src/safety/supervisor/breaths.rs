@@ -13,7 +13,6 @@ use super::{CUTS_MAX, RESPONSE, RESPONSES, Supervisor, SupervisorState};
 use crate::breath::{Breath, Moment};
 use crate::sensor::Readings;
 use crate::settings::Settings;
-use core::cmp::Ordering;
 
 /// Fraction of the rise from PEEP to PIP that a good inspiration reaches.
 const GOOD_RISE: f32 = 0.7;
@@ -49,9 +48,7 @@ impl Supervisor {
             let one_sensor = state.cut == Cut::Denied;
             self.report(state, if one_sensor { Fault::SensorsDisagree } else { Fault::HighPressure });
             // No cough keeps out the gas of three breaths in a row: a tube has narrowed.
-            let stays_out =
-                state.backup.has_given_little() || state.backup.gas_shown() == Some(Ordering::Less);
-            if !one_sensor && stays_out {
+            if matches!(state.cut, Cut::KeptOut | Cut::ByFirstGas) {
                 state.ladder.chokes();
             }
         }

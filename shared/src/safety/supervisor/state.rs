@@ -24,6 +24,8 @@ pub(super) enum Cut {
     ByGas,
     /// The first gas: little has gone in, and more flows.
     ByFirstGas,
+    /// A pressure that has let in but little of the gas: that of a tube which has narrowed, or of a cough.
+    KeptOut,
     /// The patient, who coughs.
     ByPatient,
     /// One pressure sensor alone.

@@ -99,28 +99,34 @@ fn gas_that_flows_on_explains_an_early_cut_whatever_the_lung_was_and_is_a_strike
 }
 
 #[test]
-fn a_tube_that_keeps_the_first_gas_out_in_three_breaths_lowers_the_command_and_a_late_cough_does_not() {
-    // `share` of the valve's gas reaches the patient, until the pressure rises and ends the inspiration.
-    let after = |breaths: u32, rises_at: u32, lung: Lung, share: f32, other: f32| {
-        let mut run = Run::new();
-        (0..2).for_each(|_| assert_eq!(run.inspire(lung, 30.0), None));
-        for tick in (0..breaths).flat_map(|_| 0..breath().total_ticks()) {
+fn a_tube_that_keeps_the_gas_out_in_three_breaths_lowers_the_command_and_a_late_cough_does_not() {
+    // After two good breaths the pressure rises to its limit, and `share` of the valve's gas has reached the patient by then.
+    let after = |breaths: u32, rises_at: u32, share: f32, other: f32| {
+        let (mut run, mut pressure) = (Run::new(), 5.0_f32);
+        for (number, tick) in (0..2 + breaths).flat_map(|n| (0..breath().total_ticks()).map(move |t| (n, t)))
+        {
             let (inspires, cut) = (breath().phase(tick) == Phase::Inspiration, run.state.cut());
-            let raised = if inspires && !cut { 3.0 * tick.saturating_sub(rises_at) as f32 } else { 0.0 };
-            let flow = if raised > 0.0 { 0.0 } else { share * run.state.lung.valve_flow() };
-            let airway = 5.0 + raised.min(60.0) + dither(tick);
+            let (valve, volume) = (run.state.lung.valve_flow(), run.state.lung.volume());
+            let (rise, flow) = match number {
+                0 | 1 if inspires && tick > 0 => (0.05 * volume, valve),
+                0 | 1 => (0.0, if pressure > 5.0 { -0.6 } else { 0.0 }),
+                _ if inspires && cut => (0.0, -1.0),
+                _ if inspires => (3.0 * tick.saturating_sub(rises_at) as f32, share * valve),
+                _ => (0.0, 0.0),
+            };
+            // No faster down than a lung empties, or a cough ends.
+            pressure = (5.0 + rise.min(60.0)).max(pressure - if number < 2 { 0.03 } else { 2.0 });
+            let airway = pressure + dither(tick);
             run.check_all(Readings { airway, outlet: airway.min(other), flow }, Some(tick));
             run.filter(ControlOutput::plain(30.0), !inspires);
         }
         run.check(5.0, Some(0));
         (run.state.level() == Level::CappedPid).then(|| run.state.ladder.cap())
     };
-    let shown = |breaths| after(breaths, 150, SOFT, 0.3, f32::INFINITY);
-    assert_eq!([2, 3, 4].map(shown), [None, Some(40.0), Some(20.0)]);
-    assert_eq!(after(4, 800, SOFT, 1.0, f32::INFINITY), None, "a cough");
-    let without_flow_sensor = after(3, 10, Lung::Elastic(0.05), f32::NAN, f32::INFINITY);
-    assert_eq!(without_flow_sensor, Some(40.0), "little against the breaths before");
-    assert_eq!(after(3, 150, SOFT, 0.3, 6.0), None, "the other sensor denies the pressure");
+    let narrowed = |breaths| after(breaths, 150, 0.3, f32::INFINITY);
+    assert_eq!([2, 3, 4].map(narrowed), [None, Some(40.0), Some(20.0)]);
+    assert_eq!(after(4, 800, 1.0, f32::INFINITY), None, "a cough");
+    assert_eq!(after(3, 150, 0.3, 21.0), None, "the other sensor denies the pressure");
 }
 
 #[test]
