@@ -81,14 +81,15 @@ impl Ladder {
         fault
     }
 
-    /// Lowers the command after breaths whose gas has stayed out of the lung: caps it first, then halves the cap. So rare that the
-    /// ticks need not make room for it.
+    /// Lowers the command after breaths whose gas has stayed out of the lung: caps it first, then halves the cap. Returns the fault
+    /// to raise. So rare that the ticks need not make room for it.
     #[cold]
-    pub fn chokes(&mut self) {
+    pub fn chokes(&mut self) -> Fault {
         if self.level == Level::CappedPid {
             self.halvings = HALVINGS.min(self.halvings + 1);
         }
         self.step_down(Level::CappedPid);
+        Fault::CommandCapped
     }
 
     /// Raises or lifts the cap under which a breath has hardly raised the pressure: a leak takes what it lets through.
@@ -205,7 +206,7 @@ mod tests {
         let choked = || {
             let mut ladder = Ladder::default();
             let down = [(); 4].map(|()| {
-                ladder.chokes();
+                assert_eq!(ladder.chokes(), Fault::CommandCapped);
                 now(&ladder)
             });
             assert_eq!(down, [40.0, 20.0, 10.0, 10.0].map(|cap| (Level::CappedPid, cap)));

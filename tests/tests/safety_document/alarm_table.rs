@@ -283,7 +283,12 @@ fn ladder() -> Vec<Conditions> {
          pressure limit under the selected controller because of their gas",
         percent(backup::LITTLE)
     );
-    let capped = "a breath ends at the pressure limit under the PID because of its gas".to_owned();
+    let capped = format!(
+        "a breath ends at the pressure limit under the PID because of its gas; or {} in a row do, under any controller, \
+         with less than {} % of the last good breaths' gas in the patient",
+        supervisor::CUTS_MAX,
+        percent(backup::LITTLE)
+    );
     let steps = [
         (Fault::MissedTicks, missed),
         (Fault::LearnedDistrusted, distrusted),

@@ -49,7 +49,8 @@ impl Supervisor {
             self.report(state, if one_sensor { Fault::SensorsDisagree } else { Fault::HighPressure });
             // No cough keeps out the gas of three breaths in a row: a tube has narrowed.
             if matches!(state.cut, Cut::KeptOut | Cut::ByFirstGas) {
-                state.ladder.chokes();
+                let fault = state.ladder.chokes();
+                self.report(state, fault);
             }
         }
         if state.missed == 0 {

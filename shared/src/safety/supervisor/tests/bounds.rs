@@ -121,7 +121,9 @@ fn a_tube_that_keeps_the_gas_out_in_three_breaths_lowers_the_command_and_a_late_
             run.filter(ControlOutput::plain(30.0), !inspires);
         }
         run.check(5.0, Some(0));
-        (run.state.level() == Level::CappedPid).then(|| run.state.ladder.cap())
+        let told = run.state.indications().present().has(Fault::CommandCapped);
+        assert_eq!(told, run.state.level() == Level::CappedPid);
+        told.then(|| run.state.ladder.cap())
     };
     let narrowed = |breaths| after(breaths, 150, 0.3, f32::INFINITY);
     assert_eq!([2, 3, 4].map(narrowed), [None, Some(40.0), Some(20.0)]);
