@@ -127,6 +127,11 @@ fn a_tube_that_keeps_the_gas_out_in_three_breaths_lowers_the_command_and_a_late_
     };
     let narrowed = |breaths| after(breaths, 150, 0.3, f32::INFINITY);
     assert_eq!([2, 3, 4].map(narrowed), [None, Some(40.0), Some(20.0)]);
+    assert_eq!(
+        after(3, 10, 0.6, f32::INFINITY),
+        Some(20.0),
+        "strikes by the first gas have capped it before"
+    );
     assert_eq!(after(4, 800, 1.0, f32::INFINITY), None, "a cough");
     assert_eq!(after(3, 150, 0.3, 21.0), None, "the other sensor denies the pressure");
 }
