@@ -81,15 +81,13 @@ impl Ladder {
         fault
     }
 
-    /// Lowers the command after breaths whose gas has stayed out of the lung: caps it first, then halves the cap. Returns the fault
-    /// to raise. So rare that the ticks need not make room for it.
+    /// Halves the cap, if there is one, after breaths whose gas has stayed out of the lung. So rare that the ticks need not make room
+    /// for it.
     #[cold]
-    pub fn chokes(&mut self) -> Fault {
+    pub fn chokes(&mut self) {
         if self.level == Level::CappedPid {
             self.halvings = HALVINGS.min(self.halvings + 1);
         }
-        self.step_down(Level::CappedPid);
-        Fault::CommandCapped
     }
 
     /// Raises or lifts the cap under which a breath has hardly raised the pressure: a leak takes what it lets through.
@@ -206,7 +204,8 @@ mod tests {
         let choked = || {
             let mut ladder = Ladder::default();
             let down = [(); 4].map(|()| {
-                assert_eq!(ladder.chokes(), Fault::CommandCapped);
+                ladder.chokes();
+                ladder.step_down(Level::CappedPid);
                 now(&ladder)
             });
             assert_eq!(down, [40.0, 20.0, 10.0, 10.0].map(|cap| (Level::CappedPid, cap)));

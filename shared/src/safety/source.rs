@@ -22,9 +22,13 @@ use crate::sensor::Readings;
 
 /// Largest plausible difference between outlet and airway, cmH2O: at full flow the tube between them drops up to 5.
 pub const FAR_APART: f32 = 10.0;
-/// Flow of the valve while which that of two such sensors is wrong which follows the other by less, L/s, and by how much less, cmH2O.
+/// Flow of the valve while which that of two such sensors is wrong which follows the other by less, L/s.
 const FILLS: f32 = 0.1;
-const FOLLOWS: f32 = 5.0;
+/// By how much less it follows, cmH2O.
+pub const FOLLOWS: f32 = 5.0;
+/// Change over an inspiration, cmH2O, below which a sensor has stood still, if the other one has changed by more than [`FOLLOWS`] and what
+/// the tube drops.
+pub const STOOD: f32 = 1.0;
 /// Time for which they may be further apart, s.
 pub const APART: f32 = 0.02;
 /// Expirations in a row with such a difference after which the worse sensor is not used.
@@ -123,6 +127,18 @@ impl SensorState {
     }
 }
 
+/// What the last inspiration has told of two sensors that disagree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Inspiration {
+    /// Nothing.
+    #[default]
+    Silent,
+    /// One has followed the gas by less, and is doubted until they are compared at rest.
+    Undecided,
+    /// One has stood still while the other one has breathed, so that rest tells nothing.
+    Decided,
+}
+
 /// State of both sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SourceState {
@@ -133,8 +149,7 @@ pub struct SourceState {
     was_fresh: bool,
     /// What the smoothed readings were at the start of the running inspiration, cmH2O; none after it.
     starts: Option<[f32; 2]>,
-    /// Whether a sensor is doubted because of an inspiration alone, until they are compared at rest.
-    undecided: bool,
+    inspiration: Inspiration,
     /// Whether the outlet sensor is used.
     uses_outlet: bool,
     /// Distances in the windows of the expiration: of airway and outlet from each other, and of each from PEEP. Distances, so that a
@@ -263,7 +278,7 @@ impl PressureSource {
         let findings = [airway_fault, outlet_fault, disagree.then_some(Fault::SensorsDisagree)];
         let reading = sensor.read(believed);
         let follows = state.follows(reading, use_outlet);
-        let doubtful = (both || state.undecided) && apart > DOUBTFUL;
+        let doubtful = (both || state.inspiration == Inspiration::Undecided) && apart > DOUBTFUL;
         let other = if use_outlet { readings.airway } else { readings.outlet };
         let other = (!state.is_one_lost()).then_some(other);
         Chosen { reading, follows, doubtful, other, findings, replaced }
@@ -313,19 +328,19 @@ impl PressureSource {
         let (airway, outlet, peep) = (readings.airway, readings.outlet, moment.settings().peep);
         let both = state.airway.exists() && state.outlet.exists() && airway.is_finite() && outlet.is_finite();
         if moment.tick == 0 {
-            state.starts = Some([state.airway.smooth, state.outlet.smooth]);
+            state.starts = both.then_some([state.airway.smooth, state.outlet.smooth]);
         }
         if moment.inspires() {
             state.plateau.add(moment, window, both.then_some([airway, outlet, flow]));
         }
         // While the pressure falls, much gas flows between the sensors.
         let near_end = moment.left() <= window;
-        let both = both && (near_end || moment.phase == Phase::Expiration);
+        let resting = both && (near_end || moment.phase == Phase::Expiration);
         // Gas that flows out of the lung raises the pressure above PEEP.
         let above = if readings.flow < 0.0 { -EXPIRATORY * readings.flow } else { 0.0 };
         let from_peep = |pressure: f32| (pressure - peep - above).max(0.0).max(peep - pressure);
         let distances = || [(airway - outlet).abs(), from_peep(airway), from_peep(outlet)];
-        state.rest.add(moment, window, both.then(distances));
+        state.rest.add(moment, window, resting.then(distances));
     }
 
     /// Compares the sensors at the end of an inspiration from this PEEP, cmH2O, that delivered this volume, mL; true if one of them is
@@ -341,6 +356,26 @@ impl PressureSource {
             Judgement::OutletWrong => state.doubt(false, true),
         }
         true
+    }
+
+    /// The inspiration ends at this flow of the valve, L/s, or was cut: doubts a sensor that has stood still over a whole one while the
+    /// other one has breathed, whatever they read at rest, where an effort shows as well. Returns whether there is one.
+    pub fn inspired(&self, state: &mut SourceState, flow: f32, cut: bool) -> bool {
+        // In the fall, the sensor that stays up is the one that does not follow.
+        let starts = state.starts.take();
+        let compares = !cut && !state.is_one_lost() && self.enabled.has(Fault::SensorsDisagree);
+        let moved = starts.filter(|_| compares).map(|[airway, outlet]| {
+            [(state.airway.smooth - airway).abs(), (state.outlet.smooth - outlet).abs()]
+        });
+        let far = FOLLOWS + TUBE * flow;
+        let stood = |[airway, outlet]: &[f32; 2]| airway.min(*outlet) < STOOD && airway.max(*outlet) > far;
+        if let Some([airway, outlet]) = moved.filter(stood) {
+            state.doubt(airway < outlet, outlet < airway);
+            state.inspiration = Inspiration::Decided;
+        } else if state.inspiration == Inspiration::Decided {
+            state.inspiration = Inspiration::Silent;
+        }
+        state.inspiration == Inspiration::Decided
     }
 
     /// Judges the sensors when the pressure does not respond to the gas of this flow, L/s: the one that responded less is
@@ -380,8 +415,10 @@ impl PressureSource {
         if state.agreed >= AGREED_BREATHS {
             state.doubt(false, false);
         }
-        let wrong = state.doubtful >= self.doubtful;
-        state.undecided &= !wrong && state.agreed == 0;
+        let wrong = state.doubtful >= self.doubtful && state.inspiration != Inspiration::Decided;
+        if wrong || state.agreed > 0 {
+            state.inspiration = Inspiration::Silent;
+        }
         if wrong {
             state.doubt(airway > outlet, airway <= outlet);
         }
@@ -404,11 +441,6 @@ impl SourceState {
         }
     }
 
-    /// The inspiration ends: in the fall, the sensor that stays up is the one that does not follow.
-    pub fn inspired(&mut self) {
-        self.starts = None;
-    }
-
     /// Doubts these sensors from now on.
     fn doubt(&mut self, airway: bool, outlet: bool) {
         (self.airway.doubted, self.outlet.doubted) = (airway, outlet);
@@ -426,7 +458,7 @@ impl SourceState {
         let more = (self.outlet.smooth - outlet) - (self.airway.smooth - airway);
         if more.abs() > FOLLOWS {
             self.doubt(more > 0.0, more < 0.0);
-            self.undecided = true;
+            self.inspiration = Inspiration::Undecided;
         }
     }
 

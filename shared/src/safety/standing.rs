@@ -15,7 +15,7 @@ use crate::breath::Moment;
 
 /// Change of the smoothed pressure within a phase from which it moves, cmH2O: more than noise causes.
 pub const MOVES: f32 = 0.6;
-/// Fall that the expired gas must bring, cmH2O.
+/// Fall that the expired gas must bring, and that shows a valve which opens, cmH2O.
 pub const FALL: f32 = 3.0;
 /// Share of a baseline's height above PEEP that the gas in the lung must explain.
 pub const EXPLAINED: f32 = 0.3;
@@ -31,6 +31,8 @@ pub struct Standing {
     moved: bool,
     /// Highest smoothed pressure of the running phase, cmH2O.
     highest: f32,
+    /// Fall of the smoothed pressure over the last expiration, cmH2O.
+    fall: f32,
     /// Whether it stood still in the last whole inspiration, and in the last expiration.
     inspiration: bool,
     expiration: bool,
@@ -47,7 +49,7 @@ impl Standing {
     #[inline]
     pub fn observe(&mut self, moment: &Moment, smooth: f32) {
         if moment.tick == 0 {
-            self.expiration = !self.moved;
+            (self.expiration, self.fall) = (!self.moved, self.start - smooth);
             (self.start, self.moved, self.highest) = (smooth, false, smooth);
         } else if moment.tick == moment.breath.inspiration_ticks() {
             self.inspiration = !self.moved;
@@ -68,6 +70,11 @@ impl Standing {
     /// Whether the pressure has moved in the running phase.
     pub fn has_moved(&self) -> bool {
         self.moved
+    }
+
+    /// Whether the pressure fell over the last expiration as it does through an open valve.
+    pub fn falls(&self) -> bool {
+        self.fall >= FALL
     }
 
     /// Smoothed pressure at the start of the running phase, cmH2O.

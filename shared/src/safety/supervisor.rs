@@ -14,7 +14,7 @@ mod answer;
 mod breaths;
 mod state;
 
-pub use breaths::FILLS;
+pub use breaths::{FILLED, FILLS};
 pub use state::{LEAST_BASELINE, ROOM};
 
 use super::alarms::{Action, Fault};
@@ -28,6 +28,7 @@ use super::indications::Indications;
 use super::ladder::{Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::{Monitors, in_a_row, ticks};
+use super::plateau::DOUBTFUL;
 use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::reference_volume::ReferenceVolume;
 use super::responses::{Response, Responses};
@@ -54,8 +55,6 @@ pub const MISSED_MAX: u32 = 5;
 pub const MISSED_BREATHS: u32 = 3;
 /// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure.
 pub const CUTS_MAX: u32 = 3;
-/// Distance of the other sensor below a pressure at its limit with which it denies that, cmH2O.
-const DENIED: f32 = 0.5 * FAR_APART;
 /// Fraction of that rise from which a reading responds to the gas.
 pub const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
@@ -124,6 +123,8 @@ pub struct SupervisorState {
     reading: Reading,
     /// While the reading does not respond to the gas: inspirations in a row to which it did.
     unresponsive: Option<u32>,
+    /// Breaths in a row that have filled the lung, from which no pressure fell.
+    filled: u32,
     /// Whether the last breath that was ended in doubt has lost its gas to a leak, and none has reached its pressure since.
     leaks_away: bool,
     /// What has started the running breath or, at its end, the next one.
@@ -347,7 +348,7 @@ impl Supervisor {
                     state.flow.inspired(Ordering::Less);
                 }
                 let by_first = state.backup.has_given_little() && state.shows_gas(flow);
-                state.cut = match (denied(limit, DENIED), by_first) {
+                state.cut = match (denied(limit, DOUBTFUL), by_first) {
                     (true, _) => Cut::Denied,
                     (_, true) => Cut::ByFirstGas,
                     _ if state.backup.has_let_in_little() => Cut::KeptOut,
@@ -499,7 +500,9 @@ impl Supervisor {
         state.standing.observe(moment, state.expiration.smooth());
         if moment.ends_inspiration() {
             state.standing.inspired(state.volumes.expired());
-            state.source.inspired();
+            if self.source.inspired(&mut state.source, state.lung.valve_flow(), cut) {
+                self.report(state, Fault::SensorsDisagree);
+            }
         }
         if moment.ends_inspiration() && !cut {
             state.reached = Some(pressure);

@@ -9,7 +9,9 @@ use shared::safety::expected::{ABOVE, AWAY};
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CLEAN_BREATHS, LEARNED_STRIKES};
 use shared::safety::plateau::{self, APART_BREATHS, DOUBTFUL};
-use shared::safety::source::{AGREE, AGREED_BREATHS, APART, DOUBTFUL_BREATHS, FAR_APART, MOVED, SOUND_AGAIN};
+use shared::safety::source::{
+    AGREE, AGREED_BREATHS, APART, DOUBTFUL_BREATHS, FAR_APART, FOLLOWS, MOVED, SOUND_AGAIN, STOOD,
+};
 use shared::safety::volumes::{self, MEASURED};
 use shared::safety::{
     backup, breath_monitor as breath, expiration, flow_monitor, lung_estimator as lung,
@@ -103,12 +105,18 @@ fn responses() -> Vec<Conditions> {
         "the pressure sensors more than {} cmH2O apart for {} ms (the higher one counts, or while gas goes in the \
          one that follows it, until the end of the expiration), more than {} at the \
          end of {DOUBTFUL_BREATHS} expirations in a row (the one closer to PEEP counts), or more than {} and {} % \
-         at the end of {APART_BREATHS} inspirations in a row (the one that fits the gas counts)",
+         at the end of {APART_BREATHS} inspirations in a row (the one that fits the gas counts); or an inspiration has \
+         changed one by less than {} and the other by more than {} and the drop in the tube (that one counts); or \
+         {cuts} breaths in a row end at the pressure limit, above which only one sensor is, by more than {}",
         number(FAR_APART),
         ms(APART),
         number(DOUBTFUL),
         number(DOUBTFUL),
-        percent(plateau::GAIN)
+        percent(plateau::GAIN),
+        number(STOOD),
+        number(FOLLOWS),
+        number(DOUBTFUL),
+        cuts = supervisor::CUTS_MAX
     );
     let no_response = format!(
         "for {} ms less than {} % of a predicted rise of more than {} cmH2O, or for {} ms no change over \
@@ -176,7 +184,8 @@ fn limits() -> Vec<Conditions> {
         "more than {} cmH2O above PEEP for {} s, and with the expiratory valve commanded open a fall of \
          less than {} % of that in {fall} s and in {fall} s after that ({} s without a sound flow sensor); not \
          if the flow sensor shows that the gas comes out; or less than {} % of the inspired volume coming \
-         out ({} % without the gas of a known leak) and {} % of it staying in the lung",
+         out ({} % without the gas of a known leak), {} % of it staying in the lung and the pressure falling by less than {} (in \
+         {} breaths in a row if an effort ends the last one)",
         number(pressure::BACK_AT_PEEP),
         number(pressure::SUSTAINED),
         percent(pressure::FALLS),
@@ -184,6 +193,8 @@ fn limits() -> Vec<Conditions> {
         percent(volumes::BLOCKED),
         percent(volumes::BLOCKED_WITHOUT_LEAK),
         percent(supervisor::FILLS),
+        number(standing::FALL),
+        supervisor::FILLED,
         fall = number(pressure::FALL),
     );
     vec![

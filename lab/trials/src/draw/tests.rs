@@ -154,12 +154,14 @@ fn what_the_gas_denies_neither_latches_nor_ends_inspirations() {
 }
 
 /// Drawn cases that once broke a promise, each of a kind of its own.
-const KEPT: [&str; 5] = [
+const KEPT: [&str; 7] = [
     include_str!("kept/one-sensor-ends-breaths.toml"),
     include_str!("kept/leak-ends.toml"),
     include_str!("kept/peep-valve-beside-leak.toml"),
     include_str!("kept/gas-denies-one-sensor.toml"),
     include_str!("kept/effort-ends-expiration.toml"),
+    include_str!("kept/sensor-stands-beside-efforts.toml"),
+    include_str!("kept/peep-valve-near-pip.toml"),
 ];
 
 #[test]

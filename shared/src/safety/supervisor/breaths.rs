@@ -24,6 +24,8 @@ const COMES_OUT: f32 = 10.0;
 const COMES_OUT_AFTER_EFFORT: f32 = 50.0;
 /// Share of its gas from which a breath fills the lung: what a leak takes does not.
 pub const FILLS: f32 = 0.5;
+/// Breaths in a row that do so without a fall of the pressure and prove that no valve opens, if an effort has ended the last one early.
+pub const FILLED: u32 = 2;
 
 impl Supervisor {
     /// Updates the ladder with the breath that has ended, and starts the next one.
@@ -49,8 +51,8 @@ impl Supervisor {
             self.report(state, if one_sensor { Fault::SensorsDisagree } else { Fault::HighPressure });
             // No cough keeps out the gas of three breaths in a row: a tube has narrowed.
             if matches!(state.cut, Cut::KeptOut | Cut::ByFirstGas) {
-                let fault = state.ladder.chokes();
-                self.report(state, fault);
+                state.ladder.chokes();
+                self.report(state, Fault::CommandCapped);
             }
         }
         if state.missed == 0 {
@@ -218,8 +220,9 @@ impl Supervisor {
         let baselines = state.expiration.incomplete();
         let kept = state.standing.add(balance.kept, baselines);
         let fills = state.volumes.are_blocked() && kept > FILLS * balance.inspired;
-        if fills && self.pressure.is_sustained(&state.pressure) && state.unresponsive.is_none() {
-            self.report(state, Fault::SustainedPressure);
+        state.filled = in_a_row(state.filled, fills && !state.standing.falls());
+        if state.filled > 0 {
+            self.fills_up(state, effort);
         }
         let Some(elastance) = state.backup.elastance() else { return };
         let at_rest = state.expiration.has_emptied() && !state.volumes.ended_with_outflow();
@@ -232,6 +235,15 @@ impl Supervisor {
         let denied = stands || state.lies || state.standing.denies_outflow(expired, elastance);
         if judged && denied {
             self.disbelieve(state, readings);
+        }
+    }
+
+    /// Gas has gone in that does not come out again, and the pressure has hardly fallen; `effort` ends the expiration.
+    #[cold]
+    fn fills_up(&self, state: &mut SupervisorState, effort: bool) {
+        let stuck = state.filled >= if effort { FILLED } else { 1 };
+        if stuck && self.pressure.is_sustained(&state.pressure) && state.unresponsive.is_none() {
+            self.report(state, Fault::SustainedPressure);
         }
     }
 

@@ -21,7 +21,7 @@ fn a_sensor_that_stays_up_in_the_fall_belies_no_other_while_a_leak_takes_gas() {
     let mut run = Run::new();
     run.ticks(100, PEEP, PEEP);
     inspiration(&mut run, 0.5, |_| (25.0, 25.0));
-    run.state.inspired();
+    run.source.inspired(&mut run.state, 0.0, false);
     let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
     for tick in 1500..1600 {
         let readings = Readings { airway: 10.0 + 0.01 * (tick % 3) as f32, outlet: 25.0, flow: 0.2 };
@@ -38,22 +38,76 @@ fn while_gas_goes_in_the_sensor_that_follows_it_is_believed_until_rest_tells_mor
     let mut run = Run::new();
     run.ticks(100, PEEP, PEEP);
     assert!(near(inspiration(&mut run, 0.5, |tick| (lags(tick.min(160)), rises(tick))), 25.0));
-    assert!(run.state.undecided && !run.state.airway.is_sound() && run.state.outlet.is_sound());
+    assert!(
+        run.state.inspiration == Inspiration::Undecided
+            && !run.state.airway.is_sound()
+            && run.state.outlet.is_sound()
+    );
     assert!(near(run.ticks(100, 20.0, 8.0), 8.0), "in the fall it lags as well");
     assert!((0..2).all(|_| !run.expiration(PEEP, PEEP, 0.0)) && run.state.airway.doubted);
     run.expiration(PEEP, PEEP, 0.0);
-    assert!(!run.state.airway.doubted && !run.state.undecided, "agreed in three expirations");
+    assert!(
+        !run.state.airway.doubted && run.state.inspiration != Inspiration::Undecided,
+        "agreed in three expirations"
+    );
     // An offset follows the gas: PEEP tells which one has it, in one expiration.
     let mut run = Run::new();
     run.ticks(100, PEEP, 12.0 + PEEP);
     assert!(near(inspiration(&mut run, 0.5, |tick| (rises(tick), 12.0 + rises(tick))), 37.0));
-    assert!(!run.state.undecided, "the higher one counts");
+    assert!(run.state.inspiration != Inspiration::Undecided, "the higher one counts");
     // One that stands still does not follow, and two expirations elsewhere decide.
     let mut run = Run::new();
     run.ticks(100, 8.0, PEEP);
-    assert!(near(inspiration(&mut run, 0.5, |tick| (8.0, rises(tick))), 25.0) && run.state.undecided);
-    assert!(!run.expiration(8.0, PEEP, 0.0) && run.state.undecided, "it may be a strain's");
-    assert!(run.expiration(8.0, PEEP, 0.0) && run.state.airway.doubted && !run.state.undecided);
+    assert!(
+        near(inspiration(&mut run, 0.5, |tick| (8.0, rises(tick))), 25.0)
+            && run.state.inspiration == Inspiration::Undecided
+    );
+    assert!(
+        !run.expiration(8.0, PEEP, 0.0) && run.state.inspiration == Inspiration::Undecided,
+        "it may be a strain's"
+    );
+    assert!(
+        run.expiration(8.0, PEEP, 0.0)
+            && run.state.airway.doubted
+            && run.state.inspiration != Inspiration::Undecided
+    );
+}
+
+#[test]
+fn a_sensor_that_stood_still_while_the_other_one_breathed_is_wrong_whatever_an_effort_shows_at_rest() {
+    let rises = |tick: u32| PEEP + (0.3 * tick as f32).min(20.0);
+    for airway_wrong in [false, true] {
+        let stands = |breathes: f32| if airway_wrong { (13.0, breathes) } else { (breathes, 13.0) };
+        let mut run = Run::new();
+        let (airway, outlet) = stands(PEEP);
+        run.ticks(100, airway, outlet);
+        let (airway, outlet) = stands(PEEP - 9.0);
+        for _ in 0..4 {
+            inspiration(&mut run, 0.05, |tick| stands(rises(tick)));
+            assert!(run.source.inspired(&mut run.state, 0.0, false));
+            assert!(!run.expiration(airway, outlet, 0.0), "an effort");
+        }
+        assert_eq!((run.state.airway.doubted, run.state.outlet.doubted), (airway_wrong, !airway_wrong));
+        // Both breathe: rest tells again which of them is off.
+        inspiration(&mut run, 0.05, |tick| (rises(tick), rises(tick)));
+        assert!(!run.source.inspired(&mut run.state, 0.0, false));
+        assert!((0..2).any(|_| run.expiration(airway, outlet, 0.0)));
+        assert_eq!((run.state.airway.doubted, run.state.outlet.doubted), (!airway_wrong, airway_wrong));
+    }
+    for (highest, flow, cut) in [(9.0, 0.0, false), (12.0, 1.0, false), (25.0, 0.0, true)] {
+        let mut run = Run::new();
+        run.ticks(100, PEEP, PEEP);
+        inspiration(&mut run, 0.05, |tick| (PEEP, rises(tick).min(highest)));
+        assert!(
+            !run.source.inspired(&mut run.state, flow, cut),
+            "the tube explains it, or the way back to PEEP"
+        );
+    }
+    let mut run = Run::new();
+    run.ticks(100, PEEP, PEEP);
+    run.ticks(50, 500.0, PEEP);
+    inspiration(&mut run, 0.05, |tick| (PEEP, rises(tick)));
+    assert!(run.state.is_one_lost() && !run.source.inspired(&mut run.state, 0.0, false), "it has its alarm");
 }
 
 #[test]
@@ -97,6 +151,9 @@ fn an_expiration_that_tells_nothing_leaves_the_sensors_undecided() {
     run.ticks(100, PEEP, PEEP);
     inspiration(&mut run, 0.5, |tick| (PEEP, PEEP + (0.3 * tick as f32).min(20.0)));
     // Neither close enough to agree nor so far apart that one is wrong.
-    assert!(!run.expiration(PEEP + 1.5, PEEP, 0.0) && run.state.undecided);
-    assert!(!run.expiration(PEEP + 0.5, PEEP, 0.0) && !run.state.undecided, "they agree");
+    assert!(!run.expiration(PEEP + 1.5, PEEP, 0.0) && run.state.inspiration == Inspiration::Undecided);
+    assert!(
+        !run.expiration(PEEP + 0.5, PEEP, 0.0) && run.state.inspiration != Inspiration::Undecided,
+        "they agree"
+    );
 }

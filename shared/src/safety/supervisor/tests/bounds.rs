@@ -133,7 +133,8 @@ fn a_tube_that_keeps_the_gas_out_in_three_breaths_lowers_the_command_and_a_late_
         "strikes by the first gas have capped it before"
     );
     assert_eq!(after(4, 800, 1.0, f32::INFINITY), None, "a cough");
-    assert_eq!(after(3, 150, 0.3, 21.0), None, "the other sensor denies the pressure");
+    let denied = |other| after(3, 150, 0.3, other);
+    assert_eq!([39.0, 39.5].map(denied), [None, Some(40.0)], "the other sensor denies a pressure 2 above it");
 }
 
 #[test]
@@ -173,30 +174,40 @@ fn volumes_of_which_less_than_three_quarters_come_out_tell_nothing_of_the_tube()
     assert!(occlusion_after(0.75) && !occlusion_after(0.74));
 }
 
-/// A breath whose pressure falls when the valve opens, but not to PEEP; whether the last one has latched an alarm about that.
-fn latches_above_peep(run: &mut Run) -> bool {
-    run.breathe(0..2, 12.0, ControlOutput::plain(10.0));
+/// A breath whose pressure hardly falls when the valve opens, to this one, cmH2O; whether the last one has latched an alarm about that.
+fn latches_above_peep(run: &mut Run, baseline: f32) -> bool {
+    run.breathe(0..2, baseline, ControlOutput::plain(10.0));
     run.breathe(2..1000, 25.0, ControlOutput::plain(10.0));
     let fault = run.state.fault();
     run.breathe(1000..1002, 25.0, ControlOutput::plain(5.0));
-    run.breathe(1002..3000, 12.0, ControlOutput::plain(5.0));
+    run.breathe(1002..3000, baseline, ControlOutput::plain(5.0));
     fault == Some(Fault::SustainedPressure)
 }
 
 #[test]
 fn a_pressure_that_stays_up_for_a_quarter_of_a_minute_with_a_fifth_of_the_gas_inside_is_latched() {
-    let latched_in = |share, lost| {
+    // In this breath, with these shares of the gas in every second one.
+    let latched_in = |shares: [f32; 2], lost, baseline, efforts| {
         let mut run = Run::new();
         run.state.standing.add(lost, 0);
-        latches_above_peep(&mut run);
-        (0..7).find(|_| {
-            run.state.volumes = expired(share);
-            latches_above_peep(&mut run)
+        latches_above_peep(&mut run, baseline);
+        (0..9).find(|breath| {
+            if efforts {
+                run.effort(2999);
+            }
+            run.state.volumes = expired(shares[breath % 2]);
+            latches_above_peep(&mut run, baseline)
         })
     };
-    assert_eq!((latched_in(0.2, 0.0), latched_in(0.19, 0.0)), (None, Some(4)));
+    let stays = |share| latched_in([share; 2], 0.0, 22.5, false);
+    assert_eq!((stays(0.2), stays(0.19)), (None, Some(4)));
+    let falls = latched_in([0.19; 2], 0.0, 21.5, false);
+    assert_eq!(falls, None, "it falls through a valve that opens");
+    let ended_early = |other| latched_in([0.19, other], 0.0, 22.5, true);
+    assert_eq!((ended_early(0.2), ended_early(0.19)), (None, Some(4)), "one effort proves nothing");
     // Of 31 mL in, 25 stay away.
-    assert_eq!((latched_in(0.19, 9.4), latched_in(0.19, 9.9)), (Some(4), None), "a leak lets gas out");
+    let lost = |lost| latched_in([0.19; 2], lost, 22.5, false);
+    assert_eq!((lost(9.4), lost(9.9)), (Some(4), None), "a leak lets gas out");
 }
 
 #[test]
@@ -204,12 +215,12 @@ fn gas_that_a_leak_takes_does_not_stay_inside() {
     // 1 L in, of which a known leak takes a part; it takes a part of the expiration's flow too.
     let latched = |leak: f32, expiration: f32| {
         let mut run = Run::new();
-        latches_above_peep(&mut run);
+        latches_above_peep(&mut run, 22.5);
         (0..7).any(|_| {
             run.state.volumes = Volumes::default();
             run.state.volumes.add(0.5, 16.0, leak, 2.0);
             run.state.volumes.add(expiration, 9.0, leak, 1.0);
-            latches_above_peep(&mut run)
+            latches_above_peep(&mut run, 22.5)
         })
     };
     // 8 and 3 mL per 0.001 L/s at 1 cmH2O: three tenths of 1000 - 8 n are 150 + 3 n at 27.8.
