@@ -205,7 +205,8 @@ pub struct Chosen {
     pub follows: Follows,
     /// Whether two sound sensors differ by more than a small flow explains.
     pub doubtful: bool,
-    /// What the sensor that is not used reads, unless one has failed a check, cmH2O.
+    /// What the sensor that is not used shows where the one in use is, unless one has failed a check, cmH2O: its reading, to which
+    /// at the outlet the drop in the tube belongs.
     pub other: Option<f32>,
     /// Findings about the airway sensor, the outlet sensor and their difference.
     pub findings: [Option<Fault>; 3],
@@ -279,7 +280,7 @@ impl PressureSource {
         let reading = sensor.read(believed);
         let follows = state.follows(reading, use_outlet);
         let doubtful = (both || state.inspiration == Inspiration::Undecided) && apart > DOUBTFUL;
-        let other = if use_outlet { readings.airway } else { readings.outlet };
+        let other = if use_outlet { readings.airway + TUBE * flow.max(0.0) } else { readings.outlet };
         let other = (!state.is_one_lost()).then_some(other);
         Chosen { reading, follows, doubtful, other, findings, replaced }
     }

@@ -107,7 +107,7 @@ fn responses() -> Vec<Conditions> {
          end of {DOUBTFUL_BREATHS} expirations in a row (the one closer to PEEP counts), or more than {} and {} % \
          at the end of {APART_BREATHS} inspirations in a row (the one that fits the gas counts); or an inspiration has \
          changed one by less than {} and the other by more than {} and the drop in the tube (that one counts); or \
-         {cuts} breaths in a row end at the pressure limit, above which only one sensor is, by more than {}",
+         {cuts} breaths in a row end at the pressure limit, above which only one sensor is, by more than {} and at the outlet by the drop in the tube more",
         number(FAR_APART),
         ms(APART),
         number(DOUBTFUL),

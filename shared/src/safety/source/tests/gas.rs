@@ -157,3 +157,14 @@ fn an_expiration_that_tells_nothing_leaves_the_sensors_undecided() {
         "they agree"
     );
 }
+
+#[test]
+fn the_drop_in_the_tube_belongs_to_what_the_airway_shows_of_the_outlet() {
+    let of_airway = |flow: f32| {
+        let mut run = Run::new();
+        run.ticks(100, PEEP, PEEP);
+        // Far apart, so that the outlet sensor, the higher one, is used.
+        inspiration(&mut run, flow, |_| (10.0, 30.0)).other.map(f32::round)
+    };
+    assert_eq!([0.0, 1.0].map(of_airway), [Some(10.0), Some(14.0)]);
+}
