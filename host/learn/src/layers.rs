@@ -89,8 +89,25 @@ impl Layers {
         output
     }
 
+    /// Outputs of the last hidden layer at a step.
+    pub fn hidden<'a>(&self, tape: &'a LayersTape, step: usize) -> &'a [Lane] {
+        let last = self.layers.len() - 1;
+        piece(&tape.values[last], step, self.layers[last].shape().inputs)
+    }
+
     /// Gradient with respect to a step's inputs, given that with respect to its output. Steps follow from last to first.
     pub fn backward<'a>(&self, tape: &'a mut LayersTape, step: usize, d_output: Lane) -> &'a [Lane] {
+        self.backward_with(tape, step, d_output, &[])
+    }
+
+    /// [`Self::backward`], given also the gradients with respect to the first outputs of the last hidden layer.
+    pub fn backward_with<'a>(
+        &self,
+        tape: &'a mut LayersTape,
+        step: usize,
+        d_output: Lane,
+        d_hidden: &[Lane],
+    ) -> &'a [Lane] {
         let LayersTape { values, gradients, .. } = tape;
         let place = step % CHUNK;
         gradients[self.layers.len()][place] = d_output;
@@ -99,6 +116,11 @@ impl Layers {
             let (before, after) = gradients.split_at_mut(n + 1);
             let d_inputs = piece_mut(&mut before[n], if n == 0 { 0 } else { place }, inputs);
             layer.backward(piece(&after[0], place, outputs), d_inputs);
+            if n + 1 == self.layers.len() {
+                for (d, more) in d_inputs.iter_mut().zip(d_hidden) {
+                    d.add_scaled(1.0, more);
+                }
+            }
             if n > 0 {
                 self.activation.backward(piece(&values[n], step, inputs), d_inputs);
             }

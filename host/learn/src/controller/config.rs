@@ -119,6 +119,8 @@ pub enum Told {
     Unit,
     /// All of them, but only from the 50th tick of the breath on: no student that learns within a breath knows them earlier.
     Student,
+    /// Nothing, but the network keeps a state of its own through the breath: a student that can be built.
+    Recurrent,
 }
 
 /// Configuration of the training for a family.

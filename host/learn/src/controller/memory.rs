@@ -25,6 +25,8 @@ pub struct Recall {
     any: Lane,
     /// What an oracle says in its place, and from which tick on.
     told: Option<([Lane; RECALLED], usize)>,
+    /// Whether a student's state takes its place.
+    is_student: bool,
 }
 
 impl LaneMemory {
@@ -46,6 +48,7 @@ impl LaneMemory {
             bins: (0..BINS).map(|bin| [of(bin, 0), of(bin, 1)]).collect(),
             any: Lane::from_fn(|l| f32::from(u8::from(self.lanes[l].adopted() > 0))),
             told: None,
+            is_student: false,
         }
     }
 
@@ -66,7 +69,23 @@ impl LaneMemory {
 impl Recall {
     /// What an oracle says, nothing before a tick and the same from then on.
     pub(super) fn told(numbers: &[Lane; RECALLED], from: usize) -> Self {
-        Self { bin_ticks: 1, bins: Vec::new(), any: Lane::ZERO, told: Some((*numbers, from)) }
+        Self {
+            bin_ticks: 1,
+            bins: Vec::new(),
+            any: Lane::ZERO,
+            told: Some((*numbers, from)),
+            is_student: false,
+        }
+    }
+
+    /// The place of a student's state, in a breath that recalls nothing.
+    pub(super) fn of_student() -> Self {
+        Self { is_student: true, ..Self::told(&[Lane::ZERO; RECALLED], 0) }
+    }
+
+    /// Whether a student's state takes its place.
+    pub(super) fn is_student(&self) -> bool {
+        self.is_student
     }
 
     /// Writes what every lane recalls at a tick.

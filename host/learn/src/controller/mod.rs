@@ -28,6 +28,7 @@ pub mod rollout;
 pub mod scenario;
 pub mod shipped;
 mod signals;
+mod student;
 mod tapes;
 mod training;
 

@@ -1,6 +1,7 @@
 //! An oracle: a controller that is told numbers of its unit, to see what there is to gain by knowing them before the first breath.
 //!
-//! The numbers take the place of what earlier breaths taught, of which a first breath has nothing. Only in training, on simulators.
+//! The numbers take the place of what earlier breaths taught, of which a first breath has nothing. A student's own state
+//! ([`super::student`]) takes it too. Only in training, on simulators.
 
 use super::config::Told;
 use super::memory::Recall;
@@ -16,6 +17,10 @@ const STUDENT_TICKS: usize = 50;
 pub(super) fn tell(told: Told, model: &Model, scenario: &mut Scenario) {
     let (known, from) = match told {
         Told::Nothing => (0, 0),
+        Told::Recurrent => {
+            scenario.memory = Some(Recall::of_student());
+            return;
+        }
         Told::Machine => (MACHINE_NUMBERS, 0),
         Told::Unit => (UNIT_NUMBERS, 0),
         Told::Student => (UNIT_NUMBERS, STUDENT_TICKS),

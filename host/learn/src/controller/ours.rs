@@ -10,9 +10,11 @@ use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 
 use super::architecture::{ControllerArchitecture, LanePart, Trainable};
 use super::features::{Averages, LaneFeatures};
+use super::memory::Recall;
 use super::network::{blind_to, chip_network, initial_parameters, lane_network};
 use super::scenario::Scenario;
 use super::signals::Signals;
+use super::student::Student;
 use crate::layers::{Layers, LayersTape};
 
 impl Trainable for Residual {
@@ -79,6 +81,13 @@ pub struct OurLanes {
 pub struct OurBreath<'a> {
     features: LaneFeatures<'a>,
     averages: Averages,
+    /// Its state, if the controller is a student.
+    student: Option<Student>,
+}
+
+/// The state of a student at the start or the end of a breath, if the scenario asks for one.
+fn student(scenario: &Scenario) -> Option<Student> {
+    scenario.memory.as_ref().is_some_and(Recall::is_student).then(Student::default)
 }
 
 impl LanePart for OurLanes {
@@ -92,11 +101,12 @@ impl LanePart for OurLanes {
     fn start<'a>(&'a self, scenario: &'a Scenario) -> OurBreath<'a> {
         let features = LaneFeatures::new(&self.features, scenario);
         let averages = features.start();
-        OurBreath { features, averages }
+        OurBreath { features, averages, student: student(scenario) }
     }
 
     fn start_back<'a>(&'a self, scenario: &'a Scenario, _tape: &mut LayersTape) -> OurBreath<'a> {
-        OurBreath { features: LaneFeatures::new(&self.features, scenario), averages: Averages::default() }
+        let features = LaneFeatures::new(&self.features, scenario);
+        OurBreath { features, averages: Averages::default(), student: student(scenario) }
     }
 
     fn forward(
@@ -109,12 +119,17 @@ impl LanePart for OurLanes {
     ) -> Lane {
         let seen = tape.inputs(tick);
         breath.features.forward(&mut breath.averages, signals, integral, tick, seen);
-        match &scenario.memory {
-            Some(memory) => memory.at(tick, &mut seen[FEATURES..]),
+        match (&breath.student, &scenario.memory) {
+            (Some(student), _) => seen[FEATURES..].copy_from_slice(student.inputs()),
+            (None, Some(memory)) => memory.at(tick, &mut seen[FEATURES..]),
             // A tape may hold what another shard recalled.
-            None => seen[FEATURES..].fill(Lane::ZERO),
+            (None, None) => seen[FEATURES..].fill(Lane::ZERO),
         }
-        self.network.forward(tape, tick)
+        let output = self.network.forward(tape, tick);
+        if let Some(student) = &mut breath.student {
+            student.learn(self.network.hidden(tape, tick));
+        }
+        output
     }
 
     fn applied(&self, breath: &mut OurBreath<'_>, command: &Lane) {
@@ -133,7 +148,13 @@ impl LanePart for OurLanes {
         (d_signals, d_integral): (&mut Signals, &mut Lane),
         tick: usize,
     ) {
-        let d_features = self.network.backward(tape, tick, d_output);
+        let d_features = if let Some(student) = &mut breath.student {
+            let d_features = self.network.backward_with(tape, tick, d_output, &student.learn_back());
+            student.inputs_back(&d_features[FEATURES..]);
+            d_features
+        } else {
+            self.network.backward(tape, tick, d_output)
+        };
         breath.features.backward(&mut breath.averages, d_features, tick, d_signals, d_integral);
     }
 

@@ -242,6 +242,7 @@ fn strained_back(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::controller::memory::Recall;
     use crate::controller::network::{chip_network, initial_parameters};
     use crate::controller::probe::{PAIRS, Probe, Sine};
     use crate::controller::scenario::Prescribed;
@@ -251,8 +252,8 @@ mod tests {
     use crate::simulator::stitched::StitchedConfig;
     use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::SeedableRng;
-    use shared::control::features::FeatureSpec;
-    use shared::control::network::Network;
+    use shared::control::features::{FEATURES, FeatureSpec};
+    use shared::control::network::{HIDDEN_1, INPUTS, Network};
     use shared::control::pid::PidGains;
     use shared::control::residual::ResidualSpec;
     use shared::control::{ControlLaw, Controller, ControllerState, Observation};
@@ -268,9 +269,12 @@ mod tests {
         Residual::new(spec, chip_network(parameters)).unwrap()
     }
 
-    /// A network that keeps the valve about half open.
+    /// A network that keeps the valve about half open and also sees what it recalls.
     fn parameters() -> Vec<f32> {
         let mut parameters = initial_parameters(&mut ChaCha8Rng::seed_from_u64(5));
+        for (n, row) in parameters.chunks_exact_mut(INPUTS).take(HIDDEN_1).enumerate() {
+            row[FEATURES..].fill(0.5 * (n as f32).cos());
+        }
         let last = parameters.len() - 1;
         for (n, weight) in parameters[last - 16..last].iter_mut().enumerate() {
             *weight = 0.3 * (n as f32).sin();
@@ -399,6 +403,13 @@ mod tests {
             price: 10.0,
         };
         check(1000, &Scenario { probe: Some(probe), ..scenario(150) }, &model);
+    }
+
+    #[test]
+    fn the_gradient_through_a_students_state_agrees_with_finite_differences() {
+        let config = StateSpaceConfig { states: 6, hidden: 8, ..StateSpaceConfig::for_period(1000, 1) };
+        let model = model(Architecture::StateSpace(config));
+        check(1000, &Scenario { memory: Some(Recall::of_student()), ..scenario(150) }, &model);
     }
 
     #[test]
