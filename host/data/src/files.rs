@@ -1,4 +1,7 @@
 //! Writes files so that a reader sees either the old content or the new, never a part.
+//!
+//! What is not a plain file keeps what it is: links are followed, pipes and devices receive the content, and a file that may only be
+//! read is refused.
 
 use std::fs::{self, File};
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -8,6 +11,107 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+/// Where the content of a path goes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A plain file, all links resolved, or one that does not exist yet.
+    File(PathBuf),
+    /// A pipe or a device, which receives the content.
+    Stream(PathBuf),
+}
+
+impl Target {
+    /// What is at a path.
+    ///
+    /// # Errors
+    /// A folder, a file that may only be read, or links that lead nowhere.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        let there = match fs::metadata(path) {
+            Ok(there) => there,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Self::File(resolved(path)?)),
+            Err(error) => return Err(error),
+        };
+        if there.is_dir() {
+            return Err(io::Error::new(ErrorKind::IsADirectory, "it is a folder: name a file"));
+        }
+        // A redirected standard output is a plain file too, but others write to it as well.
+        if !there.is_file() || path.starts_with("/dev") || path.starts_with("/proc") {
+            return Ok(Self::Stream(path.to_owned()));
+        }
+        if there.permissions().readonly() {
+            let reason = "it may only be read: choose another file, or change its permissions";
+            return Err(io::Error::new(ErrorKind::PermissionDenied, reason));
+        }
+        fs::canonicalize(path).map(Self::File)
+    }
+}
+
+/// A path at which nothing is yet, without the links that lead there.
+fn resolved(path: &Path) -> io::Result<PathBuf> {
+    match fs::read_link(path) {
+        // The file system has refused circles already.
+        Ok(target) => resolved(&path.parent().map_or_else(|| target.clone(), |folder| folder.join(&target))),
+        Err(_) => Ok(in_whole(path)),
+    }
+}
+
+/// A path with the whole path of its folder, if there is one: two names of the same file are then alike.
+fn in_whole(path: &Path) -> PathBuf {
+    let folder = path.parent().map(|folder| if folder == Path::new("") { Path::new(".") } else { folder });
+    match (folder.map(fs::canonicalize), path.file_name()) {
+        (Some(Ok(folder)), Some(name)) => folder.join(name),
+        _ => path.to_owned(),
+    }
+}
+
+/// Content on its way to its target: a temporary file, which takes the target's place once it is whole.
+#[derive(Debug)]
+pub struct Draft {
+    temporary: PathBuf,
+    target: Target,
+}
+
+impl Draft {
+    /// A draft for this path. Missing parent folders are created.
+    ///
+    /// # Errors
+    /// That of [`Target::of`], or the folder cannot be created.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        let target = Target::of(path)?;
+        let temporary = match &target {
+            Target::File(file) => temporary(file)?,
+            Target::Stream(_) => temporary(&std::env::temp_dir().join("stream"))?,
+        };
+        Ok(Self { temporary, target })
+    }
+
+    /// Where to write the content.
+    pub fn path(&self) -> &Path {
+        &self.temporary
+    }
+
+    /// Puts the whole content in its place.
+    ///
+    /// # Errors
+    /// The file system's error; the old file is unchanged.
+    pub fn complete(self) -> io::Result<()> {
+        match &self.target {
+            Target::File(file) => fs::rename(&self.temporary, file),
+            Target::Stream(stream) => {
+                let mut content = File::open(&self.temporary)?;
+                io::copy(&mut content, &mut File::options().write(true).open(stream)?).map(drop)
+            }
+        }
+    }
+}
+
+impl Drop for Draft {
+    fn drop(&mut self) {
+        // Once it is in its place, no temporary file exists; a leftover one is harmless.
+        let _ = fs::remove_file(&self.temporary);
+    }
+}
+
 /// Atomically replaces `path` by `bytes`: a temporary file beside it is synced, then renamed.
 ///
 /// Missing parent folders are created.
@@ -15,13 +119,9 @@ use serde::de::DeserializeOwned;
 /// # Errors
 /// The file system's error; the old file is unchanged and no temporary file is left.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let temporary = temporary(path)?;
-    let written = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
-    if written.is_err() {
-        // Report the first error; a leftover temporary file is harmless.
-        let _ = fs::remove_file(&temporary);
-    }
-    written
+    let draft = Draft::of(path)?;
+    write_synced(draft.path(), bytes)?;
+    draft.complete()
 }
 
 /// Like [`write_atomically`], for content that is written piece by piece. `failed` turns the file system's errors
@@ -34,18 +134,11 @@ pub fn write_streamed<E>(
     write: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,
     failed: impl Fn(io::Error) -> E,
 ) -> Result<(), E> {
-    let temporary = temporary(path).map_err(&failed)?;
-    let written = File::create(&temporary).map_err(&failed).and_then(|file| {
-        let mut file = BufWriter::new(file);
-        write(&mut file)?;
-        let file = file.into_inner().map_err(|error| failed(error.into_error()))?;
-        file.sync_all().and_then(|()| fs::rename(&temporary, path)).map_err(&failed)
-    });
-    if written.is_err() {
-        // Report the first error; a leftover temporary file is harmless.
-        let _ = fs::remove_file(&temporary);
-    }
-    written
+    let draft = Draft::of(path).map_err(&failed)?;
+    let mut file = BufWriter::new(File::create(draft.path()).map_err(&failed)?);
+    write(&mut file)?;
+    let file = file.into_inner().map_err(|error| failed(error.into_error()))?;
+    file.sync_all().and_then(|()| draft.complete()).map_err(&failed)
 }
 
 /// Creates `path` with `bytes`, atomically as [`write_atomically`] does, unless it exists: of several writers, even on different
@@ -77,11 +170,11 @@ fn link(temporary: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
     }
 }
 
-/// The path of a temporary file beside `path`, to be renamed once complete. Missing parent folders are created.
+/// The path of a temporary file beside `path`. Missing parent folders are created.
 ///
 /// # Errors
 /// `path` names no file, or its folder cannot be created.
-pub fn temporary(path: &Path) -> io::Result<PathBuf> {
+fn temporary(path: &Path) -> io::Result<PathBuf> {
     let name = path.file_name().ok_or_else(|| {
         io::Error::new(ErrorKind::InvalidInput, "the path has no file name: name a file, not a folder")
     })?;
@@ -205,6 +298,68 @@ mod tests {
         assert!(broken.is_err());
         assert_eq!(fs::read(&path).unwrap(), b"whole");
         assert_eq!(entries(folder.path()), ["file.txt"]);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_link_stays_and_its_target_is_replaced_whether_or_not_it_exists() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("deep")).unwrap();
+        for (link, target) in [("first", "deep/second"), ("deep/second", "../file.txt")] {
+            std::os::unix::fs::symlink(target, at(link)).unwrap();
+        }
+        for content in ["new", "newer"] {
+            write_atomically(&at("first"), content.as_bytes()).unwrap();
+            assert_eq!(fs::read_to_string(at("file.txt")).unwrap(), content);
+            assert!(at("first").is_symlink() && at("deep/second").is_symlink());
+        }
+        assert_eq!(entries(folder.path()), ["deep", "file.txt", "first"]);
+        std::os::unix::fs::symlink("circle", at("circle")).unwrap();
+        assert!(write_atomically(&at("circle"), b"x").is_err());
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_pipe_receives_the_content_and_stays_a_pipe() {
+        use std::os::unix::fs::FileTypeExt;
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let read = std::thread::scope(|scope| {
+            let reader = scope.spawn(|| fs::read(&pipe).unwrap());
+            write_atomically(&pipe, b"content").unwrap();
+            reader.join().unwrap()
+        });
+        assert_eq!(read, b"content");
+        assert!(fs::metadata(&pipe).unwrap().file_type().is_fifo());
+        assert_eq!(entries(folder.path()), ["pipe"]);
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_device_is_written_to_and_tells_when_it_is_full() {
+        let full = Path::new("/dev/full");
+        let error = write_atomically(full, b"content").unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::StorageFull);
+        write_atomically(Path::new("/dev/null"), b"content").unwrap();
+        assert!([full, Path::new("/dev/null")].iter().all(|path| !fs::metadata(path).unwrap().is_file()));
+    }
+
+    #[test]
+    fn a_file_that_may_only_be_read_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file.txt");
+        fs::write(&path, "old").unwrap();
+        let mut permissions = fs::metadata(&path).unwrap().permissions();
+        permissions.set_readonly(true);
+        fs::set_permissions(&path, permissions).unwrap();
+        let error = write_atomically(&path, b"new").unwrap_err();
+        assert!(error.to_string().contains("may only be read"), "{error}");
+        assert_eq!(
+            (fs::read(&path).unwrap(), entries(folder.path())),
+            (b"old".to_vec(), vec!["file.txt".to_owned()])
+        );
     }
 
     #[test]

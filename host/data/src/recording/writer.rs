@@ -1,7 +1,7 @@
 //! Writes a recording row by row, in bounded memory.
 
-use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use parquet::file::writer::SerializedFileWriter;
@@ -9,14 +9,15 @@ use parquet::file::writer::SerializedFileWriter;
 use super::columns::Extra;
 use super::parquet_file::{GROUP_ROWS, metadata, write_rows, writer};
 use super::{DatasetError, Recording, Row, checksum};
-use crate::files::temporary;
+use crate::files::Draft;
 use crate::provenance::Provenance;
 
 /// A recording that is being written. [`Self::finish`] makes the complete file appear; otherwise no file is left.
 #[derive(Debug)]
 pub struct RecordingWriter {
     path: PathBuf,
-    temporary: PathBuf,
+    /// `None` once it is finished.
+    draft: Option<Draft>,
     chunk: Recording,
     extras: Vec<Extra>,
     /// `None` once it is finished.
@@ -45,13 +46,13 @@ impl RecordingWriter {
     /// The file cannot be written.
     pub fn create(path: &Path, provenance: Provenance, extras: &[Extra]) -> Result<Self, DatasetError> {
         let write = |source| DatasetError::Write { path: path.to_owned(), source };
-        let temporary = temporary(path).map_err(write)?;
+        let draft = Draft::of(path).map_err(write)?;
         let chunk = Recording::with_extras(provenance, extras);
-        let file = BufWriter::new(File::create(&temporary).map_err(write)?);
+        let file = BufWriter::new(File::create(draft.path()).map_err(write)?);
         let writer = writer(file, &chunk).map_err(|e| encode(path, &e))?;
         Ok(Self {
             path: path.to_owned(),
-            temporary,
+            draft: Some(draft),
             chunk,
             extras: extras.to_vec(),
             writer: Some(writer),
@@ -113,7 +114,7 @@ impl RecordingWriter {
         self.flush()?;
         let write = |source| DatasetError::Write { path: self.path.clone(), source };
         let provenance = serde_json::to_string(&self.chunk.provenance).map_err(|e| encode(&self.path, &e))?;
-        let Some(mut writer) = self.writer.take() else { return Ok(()) };
+        let (Some(mut writer), Some(draft)) = (self.writer.take(), self.draft.take()) else { return Ok(()) };
         for pair in metadata(provenance) {
             writer.append_key_value_metadata(pair);
         }
@@ -121,15 +122,8 @@ impl RecordingWriter {
         let file = file.into_inner().map_err(|e| write(e.into_error()))?;
         file.sync_all().map_err(write)?;
         drop(file);
-        checksum::seal(&self.temporary).map_err(write)?;
-        fs::rename(&self.temporary, &self.path).map_err(write)
-    }
-}
-
-impl Drop for RecordingWriter {
-    fn drop(&mut self) {
-        // After a rename the file no longer exists; a leftover temporary file is harmless.
-        let _: io::Result<()> = fs::remove_file(&self.temporary);
+        checksum::seal(draft.path()).map_err(write)?;
+        draft.complete().map_err(write)
     }
 }
 
@@ -140,6 +134,7 @@ fn encode(path: &Path, reason: &dyn std::fmt::Display) -> DatasetError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     const EXTRAS: [Extra; 2] = [Extra::Resistance, Extra::Group];
 
