@@ -1,13 +1,14 @@
 //! The authors' own plant: a controller trained only on recordings of it, beside the authors' figures.
 
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use shared::control::Controller;
 use shared::control::pid::Pid;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
 use crate::authors::{self, baseline};
-use learn::pipeline;
+use learn::pipeline::{self, RunFolder};
 use plant::balloon::PERIOD_US;
 use study::Result;
 use ventilator::{BalloonSource, Source, SourceError};
@@ -41,7 +42,8 @@ pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon> {
                 Ok(Box::new(BalloonSource::new(base.clone())))
             };
             let outcome = lungs::train_by(study, &format!("balloon-{repeat}"), |run, progress| {
-                pipeline::run(&config, &[&source], Some(run), progress)
+                let folder = RunFolder { workspace: run, plants: vec![json!("balloon")] };
+                pipeline::run(&config, &[&source], Some(folder), progress)
             })?;
             learned.push(authors::score(&Controller::Residual(outcome.learned.controller))?);
         }

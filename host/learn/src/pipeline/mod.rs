@@ -22,6 +22,7 @@ mod stages;
 mod training;
 
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 use shared::control::features::FeatureSpec;
 use shared::control::pid::{Pid, PidGains};
@@ -43,6 +44,7 @@ use crate::simulator::stitched::StitchedConfig;
 use data::recording::{DatasetError, Recording};
 use data::tensors::TensorError;
 use data::workspace::{Workspace, WorkspaceError};
+use plant::Plant;
 use plant::bench::BenchConfig;
 use plant::prescriptions::Prescriptions;
 use progress::Progress;
@@ -313,6 +315,23 @@ pub struct Outcome<C = Residual> {
 /// Creates the source of a round from its seed.
 pub type MakeSource<'a, L = Controller> = &'a (dyn Fn(u64) -> Result<Box<dyn Source<L>>, SourceError> + Sync);
 
+/// The folder of a run. It continues only with the same plants.
+#[derive(Clone, Debug)]
+pub struct RunFolder<'a> {
+    /// The folder.
+    pub workspace: &'a Workspace,
+    /// What each plant is, in the order of the sources.
+    pub plants: Vec<Value>,
+}
+
+/// What must match to continue a stopped run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Claim {
+    config: PipelineConfig,
+    /// What each plant is.
+    plants: Vec<Value>,
+}
+
 /// Runs the rounds for a controller of the architecture `C`, which the configuration must name, on one or several plants, in memory
 /// or with a folder to continue from. Each plant has its own recording and simulators; the controller is trained on all of them at
 /// once.
@@ -322,14 +341,15 @@ pub type MakeSource<'a, L = Controller> = &'a (dyn Fn(u64) -> Result<Box<dyn Sou
 pub fn run<C: Trainable>(
     config: &PipelineConfig,
     sources: &[MakeSource<'_, C::Law>],
-    folder: Option<&Workspace>,
+    folder: Option<RunFolder<'_>>,
     progress: &Progress<'_>,
 ) -> Result<Outcome<C>, PipelineError> {
     config.specification::<C>()?;
-    if let Some(folder) = folder {
-        folder.claim(config)?;
+    let workspace = folder.as_ref().map(|folder| folder.workspace);
+    if let Some(RunFolder { workspace, plants }) = folder {
+        workspace.claim(&Claim { config: config.clone(), plants })?;
     }
-    let mut run = stages::Run::<C>::new(config, sources, folder, progress);
+    let mut run = stages::Run::<C>::new(config, sources, workspace, progress);
     for round in 0..config.rounds.max(1) {
         if !run.round(round)? {
             break;
@@ -359,6 +379,8 @@ pub fn run_on_benches<C: Trainable>(
     let sources: Vec<_> = benches.iter().map(make).collect();
     let sources: Vec<MakeSource<'_, C::Law>> =
         sources.iter().map(|source| source as MakeSource<'_, C::Law>).collect();
+    let folder = folder
+        .map(|workspace| RunFolder { workspace, plants: benches.iter().map(|bench| json!(bench)).collect() });
     run(config, &sources, folder, progress)
 }
 
@@ -376,6 +398,7 @@ pub fn run_on_plant<C: Trainable>(
     let source = |seed| -> Result<Box<dyn Source<C::Law>>, SourceError> {
         Ok(Box::new(PlantSource::new(link.clone(), base.clone(), config.period_us, seed)))
     };
+    let folder = folder.map(|workspace| RunFolder { workspace, plants: vec![json!(link.name())] });
     run(config, &[&source], folder, progress)
 }
 

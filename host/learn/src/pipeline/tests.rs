@@ -38,7 +38,8 @@ fn source(config: &PipelineConfig) -> impl Fn(u64) -> Result<Box<dyn Source>, So
 
 fn run_small(folder: Option<&Path>, progress: &Progress<'_>) -> Result<Outcome, PipelineError> {
     let (config, folder) = (small(), folder.map(Workspace::new));
-    run(&config, &[&source(&config)], folder.as_ref(), progress)
+    let folder = folder.as_ref().map(|workspace| RunFolder { workspace, plants: vec![json!("R20C20")] });
+    run(&config, &[&source(&config)], folder, progress)
 }
 
 /// Mean true |p - target| over the inspirations of the paper's waveforms, under noise not used in learning.
@@ -141,10 +142,17 @@ fn one_controller_learns_from_several_plants() {
 fn a_folder_of_another_run_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     whole(Some(folder.path()));
-    let other = PipelineConfig { seed: 2, ..small() };
-    let folder = Workspace::new(folder.path());
-    let result = run::<Residual>(&other, &[&source(&other)], Some(&folder), &Progress::silent());
-    assert!(matches!(result, Err(PipelineError::Workspace(WorkspaceError::OtherRun { .. }))));
+    let workspace = &Workspace::new(folder.path());
+    for (config, plant, difference) in [
+        (PipelineConfig { seed: 2, ..small() }, "R20C20", "`seed` is 1 there and 2 here"),
+        (small(), "R5C50", "`plants` is \"R20C20\" there and \"R5C50\" here"),
+    ] {
+        let folder = RunFolder { workspace, plants: vec![json!(plant)] };
+        let result = run::<Residual>(&config, &[&source(&config)], Some(folder), &Progress::silent());
+        let refused = result.map(|_| ()).unwrap_err();
+        assert!(matches!(refused, PipelineError::Workspace(WorkspaceError::OtherRun { .. })));
+        assert!(refused.to_string().contains(difference), "{refused}");
+    }
 }
 
 #[test]

@@ -12,13 +12,14 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use crate::error::{Result, StudyError};
 use data::files::write_atomically;
 use data::workspace::{Workspace, WorkspaceError};
-use learn::pipeline::{self, Outcome, PipelineConfig};
+use learn::pipeline::{self, Outcome, PipelineConfig, RunFolder};
 use plant::bench::BenchConfig;
 use progress::Progress;
 use score::baselines::{Best, Search, tune_pid};
@@ -83,12 +84,25 @@ struct Tuned {
     best: Best,
 }
 
+/// What must match to continue a stopped demo.
+#[derive(Serialize, Deserialize)]
+struct Claim {
+    bench: BenchConfig,
+    search: Search,
+    pipeline: PipelineConfig,
+}
+
 /// Runs the demo and writes its files to `out`; a stopped demo continues there.
 ///
 /// # Errors
 /// The error of the first step that fails; files of earlier steps stay.
 pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Demo> {
     let started = Instant::now();
+    Workspace::new(out).claim(&Claim {
+        bench: config.bench.clone(),
+        search: config.search.clone(),
+        pipeline: config.pipeline.clone(),
+    })?;
     let best = tuned(config, out, progress)?;
     let outcome = learn(config, best.pid.gains, out, progress)?;
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::evaluation(config.pipeline.seed) };
@@ -127,7 +141,8 @@ fn learn(config: &DemoConfig, gains: PidGains, out: &Path, progress: &Progress<'
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
     let source = |seed| config.venue.source(&config.bench, base.clone(), &settings, period_us, seed);
     let folder = Workspace::new(out.join("run"));
-    Ok(pipeline::run(&pipeline, &[&source], Some(&folder), progress)?)
+    let folder = RunFolder { workspace: &folder, plants: vec![json!(config.bench)] };
+    Ok(pipeline::run(&pipeline, &[&source], Some(folder), progress)?)
 }
 
 fn compare(
