@@ -6,6 +6,7 @@ pub mod export;
 pub mod files;
 pub mod identity;
 pub mod import;
+pub mod kind;
 pub mod pirds;
 pub mod provenance;
 pub mod recording;

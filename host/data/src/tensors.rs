@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::files::write_atomically;
+use crate::kind::Kind;
 
 /// Why a file of vectors cannot be used.
 #[derive(Debug, Error)]
@@ -49,8 +50,9 @@ fn key(kind: &str) -> String {
 /// The file cannot be read, is incomplete or comes from another program.
 pub fn kind(path: &Path) -> Result<String, TensorError> {
     let bytes = fs::read(path).map_err(TensorError::file(path))?;
-    let foreign = |reason: String| TensorError::format(path, "trainer file", &reason);
-    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| foreign(e.to_string()))?;
+    let foreign = |reason: String| TensorError::format(path, "controller or simulator", &reason);
+    let (_, header) =
+        SafeTensors::read_metadata(&bytes).map_err(|error| foreign(unlike(&bytes, &error.to_string())))?;
     let mut keys = header.metadata().iter().flat_map(HashMap::keys);
     let kind = keys.find_map(|key| key.strip_prefix(KEY));
     kind.map(str::to_owned).ok_or_else(|| foreign("its metadata does not name its kind".to_owned()))
@@ -94,12 +96,21 @@ pub fn load<D: for<'de> Deserialize<'de>>(
     parse(&bytes, kind, names).map_err(|reason| TensorError::format(path, kind, &reason))
 }
 
+/// Why a file without a readable header is none of this program's: what it is instead, if that can be told.
+fn unlike(bytes: &[u8], reason: &str) -> String {
+    match Kind::of_start(bytes) {
+        _ if bytes.is_empty() => "it is empty".to_owned(),
+        Kind::Tensors | Kind::Other => format!("it is damaged, incomplete or of another kind ({reason})"),
+        kind => format!("it is {}", kind.name()),
+    }
+}
+
 fn parse<D: for<'de> Deserialize<'de>>(
     bytes: &[u8],
     kind: &str,
     names: &[&str],
 ) -> Result<(D, Vec<Vec<f32>>), String> {
-    let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| unlike(bytes, &error.to_string()))?;
     let json = header.metadata().as_ref().and_then(|metadata| metadata.get(&key(kind)));
     let json = json.ok_or_else(|| format!("it has no metadata key {}", key(kind)))?;
     let description = serde_json::from_str(json).map_err(|e| e.to_string())?;

@@ -1,5 +1,7 @@
 //! The choice of a controller (gains, or a learned one by its name, file or weights image) and its control period.
 
+use crate::command::bounds::within;
+use shared::breath::PERIOD_BOUNDS_US;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
@@ -29,7 +31,7 @@ pub struct ControllerArgs {
     #[arg(long, value_name = "NAME|FILE", group = "which")]
     pub controller: Option<PathBuf>,
     /// Control period, microseconds [default: 1000, or that of the learned controller or the plant]
-    #[arg(long, value_name = "US")]
+    #[arg(long, value_name = "US", value_parser = within::<u32>(PERIOD_BOUNDS_US.0, PERIOD_BOUNDS_US.1))]
     pub period_us: Option<u32>,
 }
 

@@ -16,6 +16,14 @@ pub struct KeyArgs {
 }
 
 impl KeyArgs {
+    /// Checks, before the work begins, that the key can be read.
+    ///
+    /// # Errors
+    /// A key that cannot be read.
+    pub fn check(&self) -> anyhow::Result<()> {
+        self.key.as_deref().map_or(Ok(()), |file| Ok(PrivateKey::load(file).map(drop)?))
+    }
+
     /// The image, signed if there is a key; its version is the time, so that a device takes it for newer than any before.
     ///
     /// # Errors

@@ -1,5 +1,6 @@
 //! The user's own plant in place of the bench.
 
+use crate::command::bounds::within;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -16,7 +17,7 @@ pub struct PlantArgs {
     #[arg(long, value_name = "PLANT", conflicts_with = "bench")]
     pub plant: Option<PlantAddress>,
     /// Longest time the plant may take to answer, s
-    #[arg(long, value_name = "SECONDS", requires = "plant", value_parser = seconds, default_value_t = PATIENCE.as_secs_f64())]
+    #[arg(long, value_name = "SECONDS", requires = "plant", default_value_t = PATIENCE.as_secs_f64(), value_parser = within::<f64>(0.001, 86_400.0))]
     plant_timeout: f64,
 }
 
@@ -55,16 +56,5 @@ pub fn period_us(asked: Option<u32>, link: Option<&SharedLink>) -> anyhow::Resul
             bail!("the plant's control period is {own} us, not {asked}: omit --period-us")
         }
         (asked, own) => Ok(asked.or(own).unwrap_or(DEFAULT_PERIOD_US)),
-    }
-}
-
-/// A time limit in seconds.
-///
-/// # Errors
-/// Text that is no such number.
-pub fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if seconds > 0.0 && seconds <= 86_400.0 => Ok(seconds),
-        _ => Err("write a number of seconds above zero, such as 10".into()),
     }
 }

@@ -1,7 +1,8 @@
 //! The waveforms of an evaluation: PIPs with settings, or prescriptions.
 
+use crate::command::bounds::{Within, within};
 use shared::breath::PAPER_PIPS;
-use shared::settings::Settings;
+use shared::settings::{FIELDS, Settings};
 
 use super::settings::SettingsArgs;
 use plant::prescriptions::Prescriptions;
@@ -11,11 +12,16 @@ use score::evaluate::{Plan, at_pips};
 /// rise and inspiratory time meet each other.
 const DRAWN: u32 = 24;
 
+/// A parser of PIPs within the bounds of the setting, which is the first one, cmH2O.
+pub fn pips() -> Within<f32> {
+    within(FIELDS[0].min, FIELDS[0].max)
+}
+
 /// The waveforms of an evaluation.
 #[derive(Debug, clap::Args)]
 pub struct WaveformsArgs {
     /// PIPs of the waveforms, cmH2O
-    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS, value_parser = pips())]
     pips: Vec<f32>,
     #[command(flatten)]
     settings: SettingsArgs,

@@ -1,11 +1,14 @@
 //! `trainer blackbox`: reads a device's flight recorder.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use clap::builder::TypedValueParser;
 use serde::Serialize;
 use shared::link::messages::DeviceIdentity;
 
-use crate::command::{Command, Context, Output, OutputArgs, write, write_json};
+use crate::command::bounds::{MOST, within};
+use crate::command::{Command, Context, OutFile, Output, OutputArgs, write, write_json};
+use data::kind::Kind;
 use device::Device;
 use device::blackbox::Blackbox;
 use device::port::Address;
@@ -31,13 +34,13 @@ pub struct Args {
     #[arg(long, value_name = "PORT")]
     port: Address,
     /// Write the recorded ticks (*.csv) or everything (*.json) to this file
-    #[arg(long, value_name = "PATH", value_parser = out)]
-    out: Option<PathBuf>,
+    #[arg(long, value_name = "PATH", value_parser = OutFile::named().try_map(csv_or_json))]
+    out: Option<OutFile>,
     /// Write plots of pressure, target and valve, and the whole log, to an HTML report
-    #[arg(long, value_name = "FILE.html")]
-    report: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.html", value_parser = OutFile::of(Kind::Page))]
+    report: Option<OutFile>,
     /// Print only the newest N events
-    #[arg(long, value_name = "N", default_value_t = 40)]
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = within::<usize>(0, MOST))]
     events: usize,
     /// Then clear the recorded ticks; the event log stays
     #[arg(long)]
@@ -59,8 +62,7 @@ pub struct Found {
 }
 
 /// Checks that the file name ends in .csv or .json.
-fn out(text: &str) -> Result<PathBuf, String> {
-    let path = PathBuf::from(text);
+fn csv_or_json(path: OutFile) -> Result<OutFile, String> {
     match kind(&path) {
         Some("csv" | "json") => Ok(path),
         _ => Err("the file name must end in .csv (ticks) or .json (everything)".to_owned()),
@@ -94,7 +96,7 @@ impl Command for Args {
             }
             context.saved(path);
         }
-        context.report(self.report.as_ref(), || Ok(report(&found.blackbox, &name)))?;
+        context.report(self.report.as_deref(), || Ok(report(&found.blackbox, &name)))?;
         Ok(Some(found))
     }
 

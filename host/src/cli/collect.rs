@@ -1,7 +1,5 @@
 //! `trainer collect`: records breaths with random perturbations.
 
-use std::path::PathBuf;
-
 use anyhow::{anyhow, bail};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -11,7 +9,10 @@ use shared::explore::{Exploration, Range};
 use crate::args::controller::{Chosen, ControllerArgs};
 use crate::args::settings::SettingsArgs;
 use crate::args::source::SourceArgs;
-use crate::command::{Command, Context, Output, OutputArgs};
+use crate::args::waveforms::pips;
+use crate::command::bounds::{MOST, some, within};
+use crate::command::{Command, Context, OutFile, Output, OutputArgs};
+use data::kind::Kind;
 use data::recording;
 use show::report::{Cell, Table};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
@@ -32,23 +33,23 @@ Ctrl-C ends the collection and saves the breaths recorded so far. So does a plan
 fails.")]
 pub struct Args {
     /// File to write the recording to (.parquet)
-    #[arg(long, value_name = "PATH")]
-    out: PathBuf,
+    #[arg(long, value_name = "PATH", value_parser = OutFile::of(Kind::Recording))]
+    out: OutFile,
     #[command(flatten)]
     source: SourceArgs,
     /// Number of breaths to record
-    #[arg(long, value_name = "N", default_value_t = 200)]
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = some())]
     breaths: usize,
     #[command(flatten)]
     controller: ControllerArgs,
     /// PIPs of every second breath, cmH2O
-    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS, value_parser = pips())]
     pips: Vec<f32>,
     /// Range of the random PIPs of the other breaths, cmH2O
     #[arg(long, value_name = "LOW:HIGH", value_parser = range, default_value = text(CollectConfig::default().pip_range))]
     pip_range: Range,
     /// Number of breaths ended early by the pressure limit after which collection gives up
-    #[arg(long, value_name = "N", default_value_t = CollectConfig::default().aborts)]
+    #[arg(long, value_name = "N", default_value_t = CollectConfig::default().aborts, value_parser = within::<usize>(0, MOST))]
     aborts: usize,
     /// Seed of the PIPs, perturbations and sensor noise
     #[arg(long, default_value_t = 1)]

@@ -13,6 +13,8 @@ use crate::args::controller::{Chosen, learned};
 use crate::args::gains::{format_gains, gains};
 use crate::args::settings::SettingsArgs;
 use crate::args::source::SourceArgs;
+use crate::args::waveforms::pips;
+use crate::command::bounds::{some, within};
 use crate::command::{Command, Context, Makes, Output};
 use data::recording::Recording;
 use data::workspace::Workspace;
@@ -54,16 +56,16 @@ pub struct Args {
     controller: PathBuf,
     /// Number of breaths to record
     #[arg(long, value_name = "N", default_value_t = CommissionRun::default().collect.breaths as u32,
-        value_parser = clap::value_parser!(u32).range(BREATHS_NEEDED as i64..))]
+        value_parser = within::<u32>(BREATHS_NEEDED as u32, 1_000_000))]
     breaths: u32,
     /// Gains P,I,D of the PID that records, percent of the valve per cmH2O, cmH2O s and cmH2O/s
     #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&CommissionRun::default().collector))]
     collector: PidGains,
     /// PIPs of every second breath, of half of the training and of the comparison; the others are random ones around them, cmH2O
-    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS, value_parser = pips())]
     pips: Vec<f32>,
     /// Gradient steps
-    #[arg(long, value_name = "N", default_value_t = CommissionRun::default().train.iterations)]
+    #[arg(long, value_name = "N", default_value_t = CommissionRun::default().train.iterations, value_parser = some())]
     iterations: usize,
     #[command(flatten)]
     settings: SettingsArgs,
@@ -103,6 +105,7 @@ impl Command for Args {
     }
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        self.result.check_key()?;
         let start = learned(&self.controller)?;
         let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
         let unit = self.unit(residual)?;

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 #[cfg(unix)]
 use anyhow::ensure;
-use shared::breath::DEFAULT_PERIOD_US;
+use shared::breath::{DEFAULT_PERIOD_US, PERIOD_BOUNDS_US};
 
 #[cfg(unix)]
 use super::qemu::{IMAGES, board};
 use crate::args::bench::BenchArgs;
+use crate::command::bounds::within;
 use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use learn::controller::TrainConfig;
 use learn::pipeline::PipelineConfig;
@@ -41,7 +42,7 @@ pub struct Args {
     #[command(flatten)]
     bench: BenchArgs,
     /// Number of rounds of collect, fit and train
-    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds)]
+    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds, value_parser = within::<usize>(1, 100))]
     rounds: usize,
     /// Prescriptions that half of the recordings and of the training are drawn from: bedside, paper, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "bedside")]
@@ -50,7 +51,7 @@ pub struct Args {
     #[arg(long)]
     breathing: bool,
     /// Control period, microseconds
-    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
+    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US, value_parser = within::<u32>(PERIOD_BOUNDS_US.0, PERIOD_BOUNDS_US.1))]
     period_us: u32,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]

@@ -15,7 +15,9 @@ use crate::args::gains::{format_gains, gains};
 use crate::args::port::source as device_source;
 use crate::args::source::SourceArgs;
 use crate::args::waveforms::WaveformsArgs;
-use crate::command::{Command, Context, Makes, Output, OutputArgs};
+use crate::command::bounds::{some, within};
+use crate::command::{Command, Context, Makes, OutFile, Output, OutputArgs};
+use data::kind::Kind;
 use data::provenance::Provenance;
 use plant::bench::BenchConfig;
 use score::breathing::breathing;
@@ -110,10 +112,10 @@ pub struct Args<C: Choice> {
     #[command(flatten)]
     waveforms: WaveformsArgs,
     /// Scored breaths per waveform and noise sequence
-    #[arg(long, value_name = "N", default_value_t = Plan::default().breaths)]
+    #[arg(long, value_name = "N", default_value_t = Plan::default().breaths, value_parser = some())]
     breaths: usize,
     /// Breaths from rest before the scored ones, in which a controller may learn from breath to breath
-    #[arg(long, value_name = "N", default_value_t = Plan::default().warm_up as u32, value_parser = clap::value_parser!(u32).range(..=1_000_000), conflicts_with = "breathing")]
+    #[arg(long, value_name = "N", default_value_t = Plan::default().warm_up as u32, conflicts_with = "breathing", value_parser = within::<u32>(0, 1_000_000))]
     breaths_of_learning: u32,
     /// Seed of the sensor noise, and of drawn prescriptions
     #[arg(long, default_value_t = 1)]
@@ -122,8 +124,8 @@ pub struct Args<C: Choice> {
     #[arg(long, conflicts_with_all = C::NOT_WHILE_BREATHING.iter().copied())]
     breathing: bool,
     /// Write figures and curves to an HTML report
-    #[arg(long, value_name = "FILE.html")]
-    report: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.html", value_parser = OutFile::of(Kind::Page))]
+    report: Option<OutFile>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -296,7 +298,7 @@ impl<C: Choice> Command for Args<C> {
         }
         let policy = self.choice.account(&setup.chosen, context);
         print_cuts(&setup, &comparison, context);
-        context.report(self.report.as_ref(), || report(self, &setup, &comparison))?;
+        context.report(self.report.as_deref(), || report(self, &setup, &comparison))?;
         Ok(Some(Outcome::Comparison(Box::new(Summary {
             seed: self.seed,
             lung: setup

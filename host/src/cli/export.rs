@@ -10,8 +10,10 @@ use anyhow::{Context as _, bail};
 use serde::Serialize;
 
 use crate::args::key::KeyArgs;
-use crate::command::{Command, Context, Output, OutputArgs};
+use crate::command::bounds::within;
+use crate::command::{Command, Context, OutFile, Output, OutputArgs};
 use data::export::pirds::Layout;
+use data::kind::Kind;
 
 /// Arguments of `export`.
 #[derive(Debug, clap::Args)]
@@ -49,18 +51,18 @@ pub struct Args {
     #[arg(value_name = "FILE|NAME")]
     file: PathBuf,
     /// File to write; its ending chooses the format: .bin, .onnx, .mcap, .json or .jsonl
-    #[arg(long, value_name = "PATH")]
-    out: PathBuf,
+    #[arg(long, value_name = "PATH", value_parser = OutFile::named())]
+    out: OutFile,
     /// The unit of a simulator of several, from 0 [default: the first unit; for a hybrid, a ventilator of no recorded one]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = within::<u32>(0, u32::MAX))]
     unit: Option<u32>,
     /// With .onnx, also write inputs and what this program computes from them, to check another runtime
-    #[arg(long, value_name = "FILE.json")]
-    check: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.json", value_parser = OutFile::of(Kind::Json))]
+    check: Option<OutFile>,
     #[command(flatten)]
     key: KeyArgs,
     /// Version of the signed weights image; devices store only newer ones [default: seconds since 1970]
-    #[arg(long, value_name = "N", requires = "key")]
+    #[arg(long, value_name = "N", requires = "key", value_parser = within::<u32>(0, u32::MAX))]
     image_version: Option<u32>,
     #[command(flatten)]
     output: OutputArgs,

@@ -11,6 +11,8 @@ use super::commission::configured;
 use crate::args::controller::learned;
 use crate::args::key::KeyArgs;
 use crate::args::settings::SettingsArgs;
+use crate::args::waveforms::pips;
+use crate::command::bounds::{MOST, some, within};
 use crate::command::{Command, Context, Makes, Output, OutputArgs};
 use device::simulated::MOST_PACE;
 use learn::pipeline::commission::{BREATHS_NEEDED, CommissionRun};
@@ -59,7 +61,7 @@ pub struct Args {
     )]
     file: Option<PathBuf>,
     /// A farm of this many devices in this process, which differ, with the paper's nine lungs in turn
-    #[arg(long = "virtual", value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long = "virtual", value_name = "N", value_parser = within::<u32>(1, 1000))]
     virtual_units: Option<u32>,
     /// Folder of the farm
     #[arg(long, value_name = "PATH", default_value = "out/farm")]
@@ -69,22 +71,22 @@ pub struct Args {
     controller: PathBuf,
     /// Number of breaths to record from each unit
     #[arg(long, value_name = "N", default_value_t = CommissionRun::default().collect.breaths as u32,
-        value_parser = clap::value_parser!(u32).range(BREATHS_NEEDED as i64..))]
+        value_parser = within::<u32>(BREATHS_NEEDED as u32, 1_000_000))]
     breaths: u32,
     /// PIPs of every second breath, and of the evaluation, cmH2O
-    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS, value_parser = pips())]
     pips: Vec<f32>,
     /// Fit a simulator for each unit (each), or one for all units with parameters of each (one)
     #[arg(long, value_name = "WHICH", value_enum, hide_possible_values = true, default_value_t = Simulators::Each)]
     simulators: Simulators,
     /// Gradient steps of the controller for the farm
-    #[arg(long, value_name = "N", default_value_t = CommissionRun::default().train.iterations)]
+    #[arg(long, value_name = "N", default_value_t = CommissionRun::default().train.iterations, value_parser = some())]
     farm_iterations: usize,
     /// Gradient steps of each unit's own controller
-    #[arg(long, value_name = "N", default_value_t = CommissionRun::default().train.iterations)]
+    #[arg(long, value_name = "N", default_value_t = CommissionRun::default().train.iterations, value_parser = some())]
     iterations: usize,
     /// Unscored breaths before the scored ones of the evaluation
-    #[arg(long, value_name = "N", default_value_t = 10)]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = within::<usize>(0, MOST))]
     breaths_of_learning: usize,
     /// The last stage to run: contact, collect, fit, train, crosswise or flash
     #[arg(long, value_name = "STAGE", value_enum, hide_possible_values = true, default_value_t = FarmStage::Flash)]
@@ -96,10 +98,10 @@ pub struct Args {
     #[arg(long, value_name = "UNIT")]
     adopt: Vec<UnitName>,
     /// Time to wait for a unit that does not answer, s
-    #[arg(long, value_name = "SECONDS", default_value_t = 30)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = within::<u64>(0, 86_400))]
     patience: u64,
     /// Factor by which devices in this process are faster than a chip
-    #[arg(long, value_name = "FACTOR", default_value_t = MOST_PACE, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_PACE)))]
+    #[arg(long, value_name = "FACTOR", default_value_t = MOST_PACE, value_parser = within::<u32>(1, MOST_PACE))]
     pace: u32,
     /// Seed of all random numbers, and of the virtual units
     #[arg(long, default_value_t = 1)]
@@ -140,6 +142,7 @@ impl Command for Args {
             (None, Some(count)) => Farm::virtual_units(count, self.seed),
             (None, None) => bail!("name a farm's FILE.toml, or give --virtual N"),
         };
+        self.key.check()?;
         let start = learned(&self.controller)?;
         let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
         let sign = |image| self.key.signed(image).map_err(|error| error.to_string());

@@ -10,8 +10,10 @@ use anyhow::Context as _;
 use clap::ValueEnum;
 
 use crate::args::preset::Preset;
-use crate::command::{Command, Context, Makes, Output, OutputArgs};
+use crate::command::bounds::{some, within};
+use crate::command::{Command, Context, Makes, OutFile, Output, OutputArgs};
 use data::identity::LungParameters;
+use data::kind;
 use data::recording::Recording;
 use learn::recipe::{self, Recipe};
 use learn::simulator::episode::episodes;
@@ -41,8 +43,8 @@ pub struct Args {
     #[arg(value_name = "FILE.parquet", required = true)]
     data: Vec<PathBuf>,
     /// File to write the simulator to (.safetensors)
-    #[arg(long, value_name = "PATH")]
-    out: Option<PathBuf>,
+    #[arg(long, value_name = "PATH", value_parser = OutFile::of(kind::Kind::Tensors))]
+    out: Option<OutFile>,
     /// Use third-party settings, which the recording must match: paper-30ms is those of the paper's authors
     #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
     preset: Option<Preset>,
@@ -52,22 +54,22 @@ pub struct Args {
     #[arg(long, value_enum, value_name = "NAME")]
     architecture: Option<Kind>,
     /// Passes over the recording [default: enough for 10000 gradient steps, 15000 for hybrid; 500 for stitched]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = some())]
     epochs: Option<usize>,
     /// Breaths per gradient step [default: 16, or 64 for stitched]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = within::<u16>(1, u16::MAX))]
     batch: Option<u16>,
     /// State-space and hybrid: number of states [default: 16, or 8 for hybrid]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    #[arg(long, value_name = "N", value_parser = within::<u16>(1, 256))]
     states: Option<u16>,
     /// State-space and hybrid: number of hidden units [default: 64, or 24 for hybrid]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=512))]
+    #[arg(long, value_name = "N", value_parser = within::<u16>(1, 512))]
     hidden: Option<u16>,
     /// State-space and hybrid: number of past command blocks that a step sees [default: 4, or 8 for hybrid]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    #[arg(long, value_name = "N", value_parser = within::<u16>(1, 64))]
     history: Option<u16>,
     /// Hold out every N-th breath of each lung or test run from the fit, to score it
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..))]
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = within::<u16>(2, u16::MAX))]
     hold_out: u16,
     /// Hold out every breath of the lung with this nominal resistance and compliance; repeatable
     #[arg(long, value_name = "R:C")]
@@ -76,8 +78,8 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Write curves and held-out predictions to an HTML report
-    #[arg(long, value_name = "FILE.html")]
-    report: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.html", value_parser = OutFile::of(kind::Kind::Page))]
+    report: Option<OutFile>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -132,7 +134,8 @@ impl Command for Args {
         if let Some(path) = &self.out {
             context.saved(path);
         }
-        context.report(self.report.as_ref(), || Ok(report::report(&summary, &fitted, &parts, &recording)))?;
+        context
+            .report(self.report.as_deref(), || Ok(report::report(&summary, &fitted, &parts, &recording)))?;
         Ok(Some(summary))
     }
 }

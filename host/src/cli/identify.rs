@@ -7,7 +7,8 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::command::{Command, Context, Output, OutputArgs};
+use crate::command::{Command, Context, OutFile, Output, OutputArgs};
+use data::kind::Kind;
 use device::port::Address;
 
 /// Identify the connected device, or the lungs in a recording
@@ -50,11 +51,11 @@ struct LungArgs {
     #[arg(long, value_name = "NAME", conflicts_with = "port")]
     group: Option<String>,
     /// Write a bench description with this lung, its circuit and its pressure sensor, for --bench of other commands
-    #[arg(long, value_name = "FILE.toml", conflicts_with = "port")]
-    write_plant: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "port", value_parser = OutFile::of(Kind::Description))]
+    write_plant: Option<OutFile>,
     /// Write estimates and fitted breaths to an HTML report
-    #[arg(long, value_name = "FILE.html", conflicts_with = "port")]
-    report: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.html", conflicts_with = "port", value_parser = OutFile::of(Kind::Page))]
+    report: Option<OutFile>,
 }
 
 /// The content of `--json`.

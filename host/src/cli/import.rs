@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use anyhow::bail;
 
 use crate::args::map::MapArgs;
-use crate::command::{Command, Context, Output, OutputArgs};
+use crate::command::{Command, Context, OutFile, Output, OutputArgs};
 use data::import::account::ImportSummary;
 use data::import::{import, import_pirds};
+use data::kind::Kind;
 
 /// Convert third-party recordings: tables, or events of PIRDS
 #[derive(Debug, clap::Args)]
@@ -52,8 +53,8 @@ pub struct Args {
     #[command(flatten)]
     map: MapArgs,
     /// File to write the recording to (.parquet)
-    #[arg(long, value_name = "PATH")]
-    out: PathBuf,
+    #[arg(long, value_name = "PATH", value_parser = OutFile::of(Kind::Recording))]
+    out: OutFile,
     #[command(flatten)]
     output: OutputArgs,
 }

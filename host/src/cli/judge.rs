@@ -9,6 +9,7 @@ use anyhow::{Context as _, ensure};
 use serde::Serialize;
 
 use crate::args::map::{MapArgs, load};
+use crate::command::bounds::{MOST, not_negative, within};
 use crate::command::{Command, Context, Output, OutputArgs};
 use verdict::{Band, Judged, Kind, Limits, Verdict, judge};
 
@@ -39,7 +40,7 @@ pub struct Args {
     #[arg(long)]
     measured: bool,
     /// Number of sore spots of each file to print and draw
-    #[arg(long, value_name = "N", default_value_t = 10)]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = within::<usize>(0, MOST))]
     worst: usize,
     /// Draw each printed sore spot's breath into this folder (SVG): target, pressure, commands
     #[arg(long, value_name = "DIR")]
@@ -62,31 +63,23 @@ struct LimitArgs {
     #[arg(long, value_name = "A,B")]
     peep_accuracy: Option<Band>,
     /// Highest overshoot, cmH2O
-    #[arg(long, value_name = "CMH2O", value_parser = limit)]
+    #[arg(long, value_name = "CMH2O", value_parser = not_negative())]
     overshoot: Option<f64>,
     /// Deepest fall below the target after the first peak, cmH2O
-    #[arg(long, value_name = "CMH2O", value_parser = limit)]
+    #[arg(long, value_name = "CMH2O", value_parser = not_negative())]
     undershoot: Option<f64>,
     /// Largest swing of an oscillation (three swings or more), cmH2O
-    #[arg(long, value_name = "CMH2O", value_parser = limit)]
+    #[arg(long, value_name = "CMH2O", value_parser = not_negative())]
     oscillation: Option<f64>,
     /// Longest rise time, ms
-    #[arg(long, value_name = "MS", value_parser = limit)]
+    #[arg(long, value_name = "MS", value_parser = not_negative())]
     rise: Option<f64>,
     /// Steepest plateau, rising or falling, cmH2O/s
-    #[arg(long, value_name = "CMH2O/S", value_parser = limit)]
+    #[arg(long, value_name = "CMH2O/S", value_parser = not_negative())]
     slope: Option<f64>,
     /// Largest mean absolute error over an inspiration, cmH2O
-    #[arg(long, value_name = "CMH2O", value_parser = limit)]
+    #[arg(long, value_name = "CMH2O", value_parser = not_negative())]
     error: Option<f64>,
-}
-
-/// Parses a limit.
-fn limit(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(limit) if (0.0..f64::INFINITY).contains(&limit) => Ok(limit),
-        _ => Err("give a number of at least 0".into()),
-    }
 }
 
 impl LimitArgs {

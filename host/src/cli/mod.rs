@@ -33,7 +33,7 @@ mod tune_pid;
 use clap::Parser;
 
 use crate::args::controller::ControllerArgs;
-use crate::command::{Program, Runnable, completions};
+use crate::command::{ForceArgs, Program, Runnable, completions};
 
 /// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, flash.
 #[derive(Debug, Parser)]
@@ -44,6 +44,8 @@ on a patient.")]
 pub struct Cli {
     #[command(subcommand)]
     command: Commands,
+    #[command(flatten)]
+    force: ForceArgs,
 }
 
 impl Program for Cli {

@@ -67,7 +67,9 @@ impl Command for Args {
         } else {
             Emulator::start(config, Paced::new(plant, PERIOD))?
         };
-        println!("the board ventilates {}; connect to it with --port tcp:{}", bench.name, running.address());
+        let address = running.address();
+        context
+            .line(&format!("the board ventilates {}; connect to it with --port tcp:{address}", bench.name));
         while !context.stopped() {
             if let Some(status) = running.exit_status()? {
                 bail!("QEMU ended with {status}: {}", running.log());

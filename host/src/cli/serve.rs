@@ -74,7 +74,7 @@ impl Command for Args {
         let steer = self.steer || self.demo;
         let options = Options { listen: self.listen, steer, demo: self.demo, folder: self.records.clone() };
         let server = Server::start(watches(self, context)?, &options)?;
-        println!("{}", server.url());
+        context.line(&server.url());
         if server.token().is_some() {
             eprintln!("the part after # is the token: anyone who has it may {}", allowed(steer));
         }

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::{anyhow, bail};
 use serde::Serialize;
-use shared::breath::PAPER_PIPS;
+use shared::breath::{PAPER_PIPS, PERIOD_BOUNDS_US};
+use shared::control::COMMAND_MAX;
 use shared::control::pid::PidGains;
 use shared::weights::decode;
 
@@ -16,11 +17,14 @@ use crate::args::key::KeyArgs;
 use crate::args::plant::{PlantArgs, period_us};
 use crate::args::preset::Preset;
 use crate::args::settings::SettingsArgs;
+use crate::args::waveforms::pips;
+use crate::command::bounds::{MOST, some, within};
 use crate::command::{Command, Context, Makes, Output, OutputArgs, write};
 use data::workspace::Workspace;
 use learn::controller::authors::{AuthorsController, ERROR_SPACING_MAX_US};
 use learn::controller::learned::Learned;
 use learn::controller::{ControllerArchitecture, CurvePoint, TrainConfig, Trainable, Weighting};
+use learn::pipeline::commission::BREATHS_NEEDED;
 use learn::pipeline::{
     Outcome, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches,
     run_on_plant, train_on_simulators,
@@ -78,47 +82,47 @@ pub struct Args {
     controller_architecture: ArchitectureName,
     /// With --controller-architecture authors: time between two of the ten errors that the network sees, microseconds
     /// [default: 10000, or the control period if it is longer]
-    #[arg(long, value_name = "US", value_parser = clap::value_parser!(u32).range(1..=i64::from(ERROR_SPACING_MAX_US)))]
+    #[arg(long, value_name = "US", value_parser = within::<u32>(1, ERROR_SPACING_MAX_US))]
     error_spacing_us: Option<u32>,
     /// Scale of the residual, 0 to 1
-    #[arg(long, value_name = "SHARE", default_value_t = PipelineConfig::default().lambda)]
+    #[arg(long, value_name = "SHARE", default_value_t = PipelineConfig::default().lambda, value_parser = within::<f32>(0.0, 1.0))]
     lambda: f32,
     /// Largest residual, percent of the valve
-    #[arg(long, value_name = "PERCENT", default_value_t = PipelineConfig::default().authority)]
+    #[arg(long, value_name = "PERCENT", default_value_t = PipelineConfig::default().authority, value_parser = within::<f32>(0.0, COMMAND_MAX))]
     authority: f32,
     /// Number of rounds of collect, fit and train
-    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds)]
+    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds, value_parser = within::<usize>(1, 100))]
     rounds: usize,
     /// Breaths recorded in each round
-    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().collect.breaths)]
+    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().collect.breaths, value_parser = within::<usize>(BREATHS_NEEDED, MOST))]
     breaths: usize,
     /// Passes over the recording in the first fit [default: 2500, or 500 with paper-30ms]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = some())]
     epochs: Option<usize>,
     /// Gradient steps of each training [default: 600, or 1200 with --breathing]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = some())]
     iterations: Option<usize>,
     /// Inspirations per gradient step
-    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch)]
+    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch, value_parser = within::<usize>(1, 65_536))]
     batch: usize,
     /// Learning rate at the start
-    #[arg(long, value_name = "RATE", default_value_t = TrainConfig::default().adam.rate)]
+    #[arg(long, value_name = "RATE", default_value_t = TrainConfig::default().adam.rate, value_parser = within::<f32>(1e-9, 1.0))]
     learning_rate: f32,
     /// Weight decay
-    #[arg(long, value_name = "RATE", default_value_t = TrainConfig::default().adam.weight_decay)]
+    #[arg(long, value_name = "RATE", default_value_t = TrainConfig::default().adam.weight_decay, value_parser = within::<f32>(0.0, 1.0))]
     weight_decay: f32,
     /// With several lungs: weight the worst score more than the mean; temperature of the softmax over the lungs'
     /// scores, cmH2O
-    #[arg(long, value_name = "CMH2O", value_parser = temperature)]
+    #[arg(long, value_name = "CMH2O", value_parser = within::<f64>(1e-3, 1e3))]
     softmax: Option<f64>,
     /// Number of simulators per lung to train on; one more is held out
-    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().ensemble)]
+    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().ensemble, value_parser = within::<usize>(1, 64))]
     ensemble: usize,
     /// Factor on errors above the target
-    #[arg(long, value_name = "FACTOR", default_value_t = TrainConfig::default().overshoot_weight)]
+    #[arg(long, value_name = "FACTOR", default_value_t = TrainConfig::default().overshoot_weight, value_parser = within::<f32>(0.0, 1e3))]
     overshoot_weight: f32,
     /// PIPs of the waveforms in every batch, in addition to random PIPs, cmH2O
-    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS, value_parser = pips())]
     pips: Vec<f32>,
     /// Prescriptions that half of the recordings and of the training are drawn from: bedside, a TOML file, or paper for the PIPs and settings
     /// alone [default: bedside; with --pips, --settings or --preset: paper]
@@ -128,7 +132,7 @@ pub struct Args {
     #[arg(long)]
     breathing: bool,
     /// Control period, microseconds [default: 1000, or that of the plant or the simulators]
-    #[arg(long, value_name = "US")]
+    #[arg(long, value_name = "US", value_parser = within::<u32>(PERIOD_BOUNDS_US.0, PERIOD_BOUNDS_US.1))]
     period_us: Option<u32>,
     #[command(flatten)]
     settings: SettingsArgs,
@@ -190,6 +194,11 @@ pub struct ResultArgs {
 }
 
 impl ResultArgs {
+    /// Checks, before the training, that the key can be read.
+    pub fn check_key(&self) -> anyhow::Result<()> {
+        self.key.check()
+    }
+
     /// Saves a controller, with its signed weights image if there is a key, and returns its scores.
     pub fn saved(
         &self,
@@ -247,8 +256,15 @@ impl Command for Args {
         let plant = self.plant.connect()?;
         let simulators: Vec<Simulator> =
             self.simulator.iter().map(|path| Simulator::load(path)).collect::<Result<_, _>>()?;
-        let config = self.config(self.period_us(plant.as_ref(), &simulators)?)?;
+        if let Some((first, second)) = alike(&simulators) {
+            let [first, second] = [first, second].map(|number| self.simulator[number].display());
+            bail!(
+                "{first} and {second} are the same simulator: name each one once, since the last one is held out"
+            );
+        }
         let result = &self.result;
+        let config = self.config(self.period_us(plant.as_ref(), &simulators)?)?;
+        result.check_key()?;
         let summary = match config.controller {
             ControllerArchitecture::Ours => {
                 let (trained, rounds) = self.trained(&config, plant.as_ref(), &simulators, context)?;
@@ -263,16 +279,21 @@ impl Command for Args {
                 result.kept(&trained, rounds)?
             }
         };
-        summary.show("held-out simulator", context);
+        let judge = if simulators.len() == 1 {
+            "its own simulator, as none is held out"
+        } else {
+            "held-out simulator"
+        };
+        summary.show(judge, context);
         Ok(Some(summary))
     }
 }
 
-fn temperature(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(temperature) if temperature > 0.0 && temperature.is_finite() => Ok(temperature),
-        _ => Err("write a temperature above zero, such as 0.5".into()),
-    }
+/// The numbers of two simulators that are the same, if there are any.
+fn alike(simulators: &[Simulator]) -> Option<(usize, usize)> {
+    let earlier =
+        |(number, simulator)| Some((simulators[..number].iter().position(|one| one == simulator)?, number));
+    simulators.iter().enumerate().find_map(earlier)
 }
 
 impl Args {

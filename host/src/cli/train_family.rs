@@ -4,6 +4,7 @@ use shared::control::pid::PidGains;
 
 use super::train::{ResultArgs, Summary};
 use crate::args::gains::{format_gains, gains};
+use crate::command::bounds::{some, within};
 use crate::command::{Command, Context, Makes, Output};
 use data::workspace::Workspace;
 use learn::pipeline::family::FamilyRun;
@@ -32,7 +33,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE", default_value = "bedside")]
     prescriptions: String,
     /// Units to record and train on; a quarter as many validate
-    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().units, value_parser = clap::value_parser!(u32).range(4..))]
+    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().units, value_parser = within::<u32>(4, 100_000))]
     units: u32,
     /// Gains P,I,D of the PID that records, percent of the valve per cmH2O, cmH2O s and cmH2O/s
     #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&FamilyRun::default().collector))]
@@ -42,19 +43,19 @@ pub struct Args {
     #[arg(long, value_name = "P,I,D", value_parser = gains)]
     gains: Option<PidGains>,
     /// Gradient steps
-    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.iterations)]
+    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.iterations, value_parser = some())]
     iterations: usize,
     /// Inspirations per gradient step
-    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.batch)]
+    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.batch, value_parser = within::<usize>(1, 65_536))]
     batch: usize,
     /// Price of moving the valve after the first 40 % of the inspiration, cmH2O per percent of change per tick
-    #[arg(long, value_name = "PRICE", value_parser = not_negative, default_value_t = FamilyRun::default().train.effort_price)]
+    #[arg(long, value_name = "PRICE", default_value_t = FamilyRun::default().train.effort_price, value_parser = within::<f32>(0.0, 1e6))]
     effort_price: f32,
     /// Largest amplitude of a ripple late in the inspiration, in the pressure or in its reading, cmH2O: it trains for stability margins
-    #[arg(long, value_name = "CMH2O", value_parser = not_negative, default_value_t = FamilyRun::default().train.ripple)]
+    #[arg(long, value_name = "CMH2O", default_value_t = FamilyRun::default().train.ripple, value_parser = within::<f32>(0.0, 1e6))]
     ripple: f32,
     /// Price of stability margins: of a sensitivity of the loop that is 1 above its bound, cmH2O
-    #[arg(long, value_name = "PRICE", value_parser = not_negative, default_value_t = FamilyRun::default().train.margin_price)]
+    #[arg(long, value_name = "PRICE", default_value_t = FamilyRun::default().train.margin_price, value_parser = within::<f32>(0.0, 1e6))]
     margin_price: f32,
     #[command(flatten)]
     result: ResultArgs,
@@ -68,6 +69,7 @@ impl Command for Args {
     }
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
+        self.result.check_key()?;
         let family = Family::find(&self.family)?;
         let folder = Workspace::new(&self.result.out);
         let config = self.config(&family)?;
@@ -75,14 +77,6 @@ impl Command for Args {
         let summary = self.result.saved(&trained, Vec::new(), context)?;
         summary.show("validation units, geometric mean over the first breaths", context);
         Ok(Some(summary))
-    }
-}
-
-/// Parses a number of at least 0.
-fn not_negative(text: &str) -> Result<f32, String> {
-    match text.parse() {
-        Ok(price) if (0.0..f32::INFINITY).contains(&price) => Ok(price),
-        _ => Err("write a number of at least 0, such as 0.02".to_owned()),
     }
 }
 

@@ -1,10 +1,10 @@
 //! `trainer tune-pid`: searches the best P, I, PI and PID controllers per lung, and over all lungs.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::ensure;
 use serde::Serialize;
-use shared::breath::PAPER_PIPS;
+use shared::breath::{PAPER_PIPS, PERIOD_BOUNDS_US};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
@@ -13,7 +13,10 @@ use crate::args::gains::format_gains;
 use crate::args::plant::{PlantArgs, period_us};
 use crate::args::settings::SettingsArgs;
 use crate::args::shards::{ShardArgs, ShardFolderArgs};
-use crate::command::{Command, Context, Output, OutputArgs};
+use crate::args::waveforms::pips;
+use crate::command::bounds::{some, within};
+use crate::command::{Command, Context, OutFile, Output, OutputArgs};
+use data::kind::Kind;
 use data::provenance::Provenance;
 use plant::bench::BenchConfig;
 use score::baselines::{
@@ -49,22 +52,22 @@ pub struct Args {
     #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true, default_value_t = GridName::Fine)]
     grid: GridName,
     /// PIPs of the waveforms, cmH2O
-    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS, value_parser = pips())]
     pips: Vec<f32>,
     /// Scored breaths per waveform
-    #[arg(long, value_name = "N", default_value_t = Plan::default().breaths)]
+    #[arg(long, value_name = "N", default_value_t = Plan::default().breaths, value_parser = some())]
     breaths: usize,
     #[command(flatten)]
     settings: SettingsArgs,
     /// Control period, microseconds [default: 1000, or that of the plant]
-    #[arg(long, value_name = "US")]
+    #[arg(long, value_name = "US", value_parser = within::<u32>(PERIOD_BOUNDS_US.0, PERIOD_BOUNDS_US.1))]
     period_us: Option<u32>,
     /// Seed of the sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Write tables and score maps to an HTML report
-    #[arg(long, value_name = "FILE.html")]
-    report: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.html", value_parser = OutFile::of(Kind::Page))]
+    report: Option<OutFile>,
     #[command(flatten)]
     shards: ShardFolderArgs,
     #[command(flatten)]
@@ -167,7 +170,7 @@ fn show(
     if !result.complete {
         context.line("stopped: the best gains found so far");
     }
-    context.report(args.report.as_ref(), || Ok(report(args, &plan, parameters, search, &result)))?;
+    context.report(args.report.as_deref(), || Ok(report(args, &plan, parameters, search, &result)))?;
     Ok(Summary { seed: args.seed, plan, result })
 }
 

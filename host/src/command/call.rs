@@ -9,6 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::anyhow;
 use clap::{Arg, ArgAction};
 
+use super::bounds::stated;
+use super::out_file;
 use super::program::{message, run};
 use super::{FAILURE, Failure, Observer, Program};
 
@@ -40,6 +42,7 @@ pub fn call<P: Program>(
     let line = std::iter::once(name).chain(arguments.iter().cloned());
     let matches = P::command().try_get_matches_from(line).map_err(|error| usage(&error))?;
     let program = P::from_arg_matches(&matches).map_err(|error| usage(&error))?;
+    out_file::check(&P::command(), &matches).map_err(|error| CallError::Usage(message(&error)))?;
     let done = run(&program, &matches, stop, Some(observer));
     match done.failure {
         Some(Failure { status: FAILURE, .. }) if stop.load(Ordering::Relaxed) => Err(CallError::Stopped),
@@ -50,7 +53,7 @@ pub fn call<P: Program>(
 
 /// The help of a command, as the command line prints it; none if there is no such command.
 pub fn help<P: Program>(command: &str) -> Option<String> {
-    let mut program = P::command();
+    let mut program = stated(P::command());
     program.build();
     Some(program.find_subcommand_mut(command)?.render_long_help().to_string())
 }
@@ -59,7 +62,8 @@ pub fn help<P: Program>(command: &str) -> Option<String> {
 /// none if there is no such command.
 pub fn options<P: Program>(command: &str) -> Option<BTreeMap<String, bool>> {
     let program = P::command();
-    let arguments = program.find_subcommand(command)?.get_arguments();
+    let own = program.find_subcommand(command)?.get_arguments();
+    let arguments = own.chain(program.get_arguments().filter(|argument| argument.is_global_set()));
     let repeated = |argument: &Arg| {
         matches!(argument.get_action(), ArgAction::Append) && argument.get_value_delimiter().is_none()
     };

@@ -1,7 +1,8 @@
 //! What a command runs in: the request to stop, its progress, and its output.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::io::{self, ErrorKind, Write};
+use std::path::Path;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use campaign::record::Options;
@@ -24,6 +25,8 @@ pub struct Context<'a> {
     pub(super) silent: bool,
     /// The options of the command.
     pub(super) options: &'a Options,
+    /// Why a line was lost, if one was.
+    pub(super) lost: &'a OnceLock<io::Error>,
 }
 
 impl Context<'_> {
@@ -58,8 +61,11 @@ impl Context<'_> {
     /// Prints a line, unless standard output is for JSON alone or belongs to a program that has called the command.
     pub fn line(&self, text: &str) {
         if !self.silent {
-            // A closed reader (`| head`) is no reason to stop: files are still to be written.
-            let _ = writeln!(std::io::stdout(), "{text}");
+            // Neither is a reason to stop: files are still to be written. That nobody reads on (`| head`) is not even an error.
+            match writeln!(io::stdout(), "{text}") {
+                Err(error) if error.kind() != ErrorKind::BrokenPipe => drop(self.lost.set(error)),
+                _ => {}
+            }
         }
     }
 
@@ -74,7 +80,7 @@ impl Context<'_> {
     /// A report that cannot be made, or a file that cannot be written.
     pub fn report(
         &self,
-        path: Option<&PathBuf>,
+        path: Option<&Path>,
         report: impl FnOnce() -> anyhow::Result<Report>,
     ) -> anyhow::Result<()> {
         let Some(path) = path else { return Ok(()) };

@@ -4,10 +4,12 @@
 //! runs one of its commands for another program. Nothing here belongs to the process as a whole, so commands can run side by side.
 
 mod bars;
+pub mod bounds;
 pub mod call;
 pub mod completions;
 mod context;
 mod help;
+mod out_file;
 mod output;
 mod program;
 mod record;
@@ -15,6 +17,7 @@ mod record;
 use serde::Serialize;
 
 pub use context::{Context, Observer};
+pub use out_file::{ForceArgs, OutFile};
 pub use output::{Makes, Output, OutputArgs, write, write_json};
 pub use program::{Done, Failure, Program, Runnable, main};
 

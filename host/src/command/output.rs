@@ -1,24 +1,26 @@
 //! Where the outcome of a command goes, and how its files are written: whole or not at all.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::io::{ErrorKind, Write};
+use std::path::Path;
 
 use anyhow::Context;
 use serde::Serialize;
 
+use super::out_file::OutFile;
 use data::files::write_atomically;
+use data::kind::Kind;
 
 /// Name of the option for the results as JSON. Where they go does not matter to what a command makes.
 pub(super) const JSON: &str = "json";
 /// The path that stands for standard output.
-const STANDARD_OUTPUT: &str = "-";
+pub(super) const STANDARD_OUTPUT: &str = "-";
 
 /// Output options.
 #[derive(Debug, clap::Args)]
 pub struct OutputArgs {
     /// Write the results as JSON to this file; '-' writes them, and nothing else, to standard output
-    #[arg(long = JSON, value_name = "FILE")]
-    pub json: Option<PathBuf>,
+    #[arg(long = JSON, value_name = "FILE", value_parser = OutFile::of(Kind::Json))]
+    pub json: Option<OutFile>,
 }
 
 impl OutputArgs {
@@ -74,7 +76,13 @@ fn is_standard_output(path: &Path) -> bool {
 pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(value)? + "\n";
     if is_standard_output(path) {
-        return Ok(std::io::stdout().write_all(text.as_bytes())?);
+        // That nobody reads on (`| head`) is no error.
+        return match std::io::stdout().write_all(text.as_bytes()) {
+            Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+                Err(error).context("standard output cannot be written")
+            }
+            _ => Ok(()),
+        };
     }
     write(path, text.as_bytes())
 }

@@ -1,10 +1,11 @@
 //! A program of several commands: runs the one that its arguments choose.
 
+use std::ffi::{OsStr, OsString};
 use std::fmt::Debug;
 use std::path::Path;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use anyhow::Error;
 use campaign::record::{Ending, Results};
@@ -14,7 +15,9 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
+use super::bounds::stated;
 use super::help::grouped;
+use super::out_file;
 use super::output::{Output, write_json};
 use super::record::{Kept, Place, options};
 use super::{Command, Context, FAILURE, Observer};
@@ -23,6 +26,8 @@ use super::{Command, Context, FAILURE, Observer};
 const LOG_VARIABLE: &str = "EUPNEA_LOG";
 /// Exit status of a command that Ctrl-C ended early, as shells expect it; its results so far are saved.
 const INTERRUPTED: u8 = 130;
+/// Exit status of wrong arguments, as clap has it.
+const USAGE: u8 = 2;
 
 /// A program of several commands.
 pub trait Program: Parser + Debug {
@@ -95,8 +100,9 @@ impl Done {
 
     fn ending(&self, stopped: bool) -> Ending {
         match &self.failure {
+            // A command that is stopped before its first result fails.
+            None | Some(Failure { status: FAILURE, .. }) if stopped => Ending::Stopped,
             Some(failure) => Ending::Failed(message(&failure.error)),
-            None if stopped => Ending::Stopped,
             None => Ending::Complete,
         }
     }
@@ -106,17 +112,51 @@ impl Done {
 pub fn main<P: Program>() -> ExitCode {
     log_to_standard_error();
     let stop = stop_at_ctrl_c();
-    let matches = grouped(P::command(), P::groups()).get_matches();
+    let arguments = with_negative_values(std::env::args_os());
+    let matches = stated(grouped(P::command(), P::groups())).get_matches_from(arguments);
     let program =
         P::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut P::command()).exit());
+    if let Err(error) = out_file::check(&P::command(), &matches) {
+        return failed(&error, USAGE);
+    }
     match run(&program, &matches, &stop, None).failure {
+        Some(Failure { error, status: FAILURE }) if stop.load(Ordering::Relaxed) => {
+            failed(&error, INTERRUPTED)
+        }
+        Some(Failure { error, status }) => failed(&error, status),
         None if stop.load(Ordering::Relaxed) => ExitCode::from(INTERRUPTED),
         None => ExitCode::SUCCESS,
-        Some(Failure { error, status }) => {
-            eprintln!("error: {}", message(&error));
-            ExitCode::from(status)
+    }
+}
+
+/// Prints an error; the process ends with this status.
+fn failed(error: &Error, status: u8) -> ExitCode {
+    eprintln!("error: {}", message(error));
+    ExitCode::from(status)
+}
+
+/// Joins an option with a negative number after it, as in `--gains -3,30,0`, which would be taken for another option.
+fn with_negative_values(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
+    let mut joined: Vec<OsString> = Vec::new();
+    for argument in arguments {
+        let text = argument.to_str().unwrap_or_default();
+        let number = text.strip_prefix('-').and_then(|rest| rest.chars().next());
+        let is_negative =
+            number.is_some_and(|first| first.is_ascii_digit() || first == '.') || text == "-inf";
+        match joined.last_mut() {
+            Some(option) if is_negative && is_open_option(option) => {
+                option.push("=");
+                option.push(&argument);
+            }
+            _ => joined.push(argument),
         }
     }
+    joined
+}
+
+/// Whether an argument is a long option without a value.
+fn is_open_option(argument: &OsStr) -> bool {
+    argument.to_str().is_some_and(|text| text.len() > 2 && text.starts_with("--") && !text.contains('='))
 }
 
 /// Runs the chosen command and keeps the record of its run. An observer belongs to a program that has called the command.
@@ -129,7 +169,13 @@ pub(super) fn run<P: Program>(
     let (command, options) = (program.chosen(), options(&P::command(), matches));
     let silent = observer.is_some() || command.output().is_standard_output();
     let kept = Place::of(command.output()).map(|place| Kept::begin(place, &options));
-    let done = command.run(&Context { stop, observer, silent, options: &options });
+    let lost = OnceLock::new();
+    let mut done = command.run(&Context { stop, observer, silent, options: &options, lost: &lost });
+    if let (None, Some(error)) = (&done.failure, lost.into_inner()) {
+        let error =
+            Error::new(error).context("the output is not complete: standard output cannot be written");
+        done.failure = Some(Failure { error, status: FAILURE });
+    }
     if let Some(kept) = kept {
         kept.end(done.ending(stop.load(Ordering::Relaxed)), done.results.clone());
     }
@@ -175,6 +221,19 @@ pub(super) fn message(error: &Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_negative_number_after_an_option_is_its_value() {
+        let joined = |line: &str| {
+            let arguments = with_negative_values(line.split(' ').map(OsString::from));
+            arguments.join(OsStr::new(" ")).into_string().unwrap()
+        };
+        assert_eq!(joined("collect --gains -3,30,0 --seed -1"), "collect --gains=-3,30,0 --seed=-1");
+        assert_eq!(joined("judge a --rise -inf --error -.5"), "judge a --rise=-inf --error=-.5");
+        for alone in ["evaluate --json - --out a", "submit -- -1", "fit --seed=1 -1", "judge -1"] {
+            assert_eq!(joined(alone), alone);
+        }
+    }
 
     #[test]
     fn a_cause_is_said_once() {

@@ -46,7 +46,7 @@ fn pirds_of_a_recording_is_imported_and_judged() {
     let expected = errors(&format!("judge {data} --measured"));
     for events in ["a.json", "a.jsonl"] {
         place.ok(&format!("export {data} --out {events}"));
-        let summary = place.json(&format!("import {events} --out back.parquet"));
+        let summary = place.json(&format!("import {events} --out back.parquet --force"));
         assert_eq!((&summary["complete_breaths"], summary.get("unused")), (&12.into(), None));
         let found = errors("judge back.parquet");
         assert_eq!(found.len(), expected.len());

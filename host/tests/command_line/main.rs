@@ -14,6 +14,7 @@ mod help;
 mod interrupted;
 mod judge;
 mod keys;
+mod outputs;
 mod pipeline;
 mod plant;
 mod python;

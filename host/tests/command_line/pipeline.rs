@@ -88,7 +88,8 @@ fn breathing_patients_end_with_a_table_and_a_recording() {
         let line = format!("--bench {bench} --controller {controller}");
         let text = place.ok(&format!("evaluate {line} --pips 15,30"));
         assert!(text.contains("PIP 15") && text.contains("mean"), "{effort}: {text}");
-        let recorded = place.json(&format!("collect {line} --out breaths.parquet --breaths 8 --seed 2"));
+        let recorded =
+            place.json(&format!("collect {line} --out breaths.parquet --breaths 8 --seed 2 --force"));
         assert_eq!(recorded["breaths"], 8, "{effort}: {recorded}");
     }
 }

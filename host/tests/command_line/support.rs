@@ -93,6 +93,15 @@ impl Place {
         stderr
     }
 
+    /// Runs a command whose arguments must be refused; returns the reason.
+    pub fn wrong(&self, line: &str) -> String {
+        let output = self.run(line);
+        let stderr = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{line}: {stderr}");
+        assert!(stderr.starts_with("error: "), "{line}: {stderr}");
+        stderr
+    }
+
     /// Writes `short.toml`: a family with short breaths, so that the searches for a plant of its subset are short, and with a
     /// PID, so that none is searched.
     pub fn write_short_family(&self) {

@@ -10,8 +10,8 @@ use plant::line::Address;
 use plant::link::PATIENCE;
 use ventilator::law::AnyLaw;
 
-use host::args::plant::seconds;
 use host::command::Context;
+use host::command::bounds::within;
 
 /// The choice of a policy.
 #[derive(Debug, clap::Args)]
@@ -21,7 +21,7 @@ pub struct PolicyArgs {
     #[arg(long, value_name = "POLICY", conflicts_with = "controller")]
     pub policy: Option<Address>,
     /// Longest time the policy may take to answer, s
-    #[arg(long, value_name = "SECONDS", requires = "policy", value_parser = seconds, default_value_t = PATIENCE.as_secs_f64())]
+    #[arg(long, value_name = "SECONDS", requires = "policy", default_value_t = PATIENCE.as_secs_f64(), value_parser = within::<f64>(0.001, 86_400.0))]
     policy_timeout: f64,
 }
 

@@ -2,10 +2,11 @@
 
 use anyhow::bail;
 use serde::Serialize;
-use shared::breath::DEFAULT_PERIOD_US;
+use shared::breath::{DEFAULT_PERIOD_US, PERIOD_BOUNDS_US};
 
 use host::args::bench::BenchesArgs;
 use host::args::waveforms::WaveformsArgs;
+use host::command::bounds::within;
 use host::command::{Command, Context, Makes, Output, OutputArgs};
 use plant::bench::BenchConfig;
 use score::bound::{Bound, BoundConfig, WaveformBound, bounds, triggering};
@@ -40,16 +41,16 @@ pub struct Args {
     #[command(flatten)]
     waveforms: WaveformsArgs,
     /// Control period in microseconds: the shortest time between two changes of the command
-    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
+    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US, value_parser = within::<u32>(PERIOD_BOUNDS_US.0, PERIOD_BOUNDS_US.1))]
     period_us: u32,
     /// Factor on the length of the search; if 2 gives the same result, 1 was enough
-    #[arg(long, value_name = "N", default_value_t = BoundConfig::default().effort, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_name = "N", default_value_t = BoundConfig::default().effort, value_parser = within::<u32>(1, 100))]
     effort: u32,
     /// Add triggered breaths: each lung also with efforts that start every breath
     #[arg(long, conflicts_with = "prescriptions")]
     breathing: bool,
     /// Time from the beginning of an effort to the breath that it triggers, ms
-    #[arg(long, value_name = "MS", default_value_t = BoundConfig::default().trigger_delay_ms, value_parser = clap::value_parser!(u32).range(..=1000))]
+    #[arg(long, value_name = "MS", default_value_t = BoundConfig::default().trigger_delay_ms, value_parser = within::<u32>(0, 1000))]
     trigger_delay_ms: u32,
     /// Include pressure, target and command of every waveform in the JSON
     #[arg(long)]

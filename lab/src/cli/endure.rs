@@ -13,6 +13,7 @@ use shared::weights::decode;
 use self::diary::{Diary, describe};
 use host::args::controller::{image_id, image_of};
 use host::args::shards::ShardFolderArgs;
+use host::command::bounds::within;
 use host::command::{Command, Context, Output, OutputArgs};
 use show::report::{Cell, Table};
 use trials::endure::course;
@@ -42,10 +43,10 @@ Ctrl-C are kept, and the same command continues with the others. The command fai
 interruption of ventilation, an undeserved high-priority alarm, or a missed alarm.")]
 pub struct Args {
     /// Number of patients
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = within::<u64>(1, 1_000_000))]
     patients: u64,
     /// Stay of each patient, h
-    #[arg(long, default_value_t = 1.0, value_parser = hours)]
+    #[arg(long, default_value_t = 1.0, value_parser = within::<f64>(0.01, 1000.0))]
     hours: f64,
     /// Seed of the patients, machines and settings
     #[arg(long, default_value_t = 1)]
@@ -54,7 +55,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE")]
     controller: Option<PathBuf>,
     /// Run this patient only, and print its alarms with times and reasons
-    #[arg(long, value_name = "N", conflicts_with_all = ["patients", "keep", "out"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["patients", "keep", "out"], value_parser = within::<u64>(0, u64::MAX))]
     patient: Option<u64>,
     /// File that keeps the results; an existing file is continued
     #[arg(long, value_name = "FILE", conflicts_with = "out")]
@@ -63,14 +64,6 @@ pub struct Args {
     shards: ShardFolderArgs,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-/// Parses a number of hours.
-fn hours(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(hours) if (0.01..=1000.0).contains(&hours) => Ok(hours),
-        _ => Err("give hours from 0.01 to 1000".into()),
-    }
 }
 
 impl Command for Args {

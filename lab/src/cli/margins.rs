@@ -1,7 +1,7 @@
 //! `lab margins`: stability margins by sine injection, the residual's gain, the certificate of iterative learning, and the
 //! accuracy of the pressure.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::bail;
 use serde::Serialize;
@@ -9,9 +9,11 @@ use shared::control::pid::PidGains;
 use shared::settings::Settings;
 
 use crate::args::law::LawArgs;
+use data::kind::Kind;
 use host::args::bench::BenchesArgs;
 use host::args::controller::Chosen;
-use host::command::{Command, Context, Makes, Output, OutputArgs, write};
+use host::command::bounds::within;
+use host::command::{Command, Context, Makes, OutFile, Output, OutputArgs, write};
 use margins::iteration::{Certificate, Certified, LearningFilter, Spread};
 use margins::operating_point::OperatingPoint;
 use margins::response::Sweep;
@@ -78,10 +80,10 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE", default_value = NAMES[0])]
     prescriptions: String,
     /// Number of plants of the family
-    #[arg(long, value_name = "N", requires = "family", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", requires = "family", default_value_t = 20, value_parser = within::<u32>(1, 1_000_000))]
     plants: u32,
     /// Amplitude of the sine, percent
-    #[arg(long, value_name = "PERCENT", value_parser = amplitude, default_value_t = Sweep::default().amplitude)]
+    #[arg(long, value_name = "PERCENT", default_value_t = Sweep::default().amplitude, value_parser = within::<f64>(0.01, 50.0))]
     amplitude: f64,
     /// Iterative learning to certify: gain in percent per cmH2O, lead and half base of the triangle in ms [default: that of
     /// --controller iterative or gated]
@@ -91,11 +93,11 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Write the Nyquist plot of the worst loops as SVG
-    #[arg(long, value_name = "FILE.svg")]
-    plot: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.svg", value_parser = OutFile::of(Kind::Picture))]
+    plot: Option<OutFile>,
     /// Write the factors of iterative learning over frequency as SVG, of several plants with their median and 95 %
-    #[arg(long, value_name = "FILE.svg")]
-    learning_plot: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.svg", value_parser = OutFile::of(Kind::Picture))]
+    learning_plot: Option<OutFile>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -117,13 +119,6 @@ pub struct Summary {
     #[serde(skip_serializing_if = "Option::is_none")]
     learning: Option<Certificate>,
     plants: Vec<PlantMargins>,
-}
-
-fn amplitude(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(percent) if percent > 0.0 && percent <= 50.0 => Ok(percent),
-        _ => Err("give an amplitude above 0 and up to 50 percent".into()),
-    }
 }
 
 fn learning(text: &str) -> Result<LearningFilter, String> {
@@ -465,14 +460,6 @@ mod tests {
         assert_eq!(learning("2,50,15"), Ok(LearningFilter::default()));
         for refused in ["2,50", "2,50,x", "-1,50,15", "2,5000,15"] {
             assert!(learning(refused).is_err(), "{refused}");
-        }
-    }
-
-    #[test]
-    fn an_amplitude_is_above_zero_and_leaves_the_valve_room() {
-        assert_eq!(amplitude("50"), Ok(50.0));
-        for refused in ["0", "-1", "51", "NaN", "x"] {
-            assert!(amplitude(refused).is_err(), "{refused}");
         }
     }
 }

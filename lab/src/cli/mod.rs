@@ -21,7 +21,7 @@ mod tune_rival;
 
 use clap::Parser;
 
-use host::command::{Program, Runnable, completions};
+use host::command::{ForceArgs, Program, Runnable, completions};
 use host::commands;
 
 /// The laboratory of learned pressure control: rivals, robustness, faults, margins, the paper's experiments.
@@ -32,6 +32,8 @@ sets what is logged, as in EUPNEA_LOG=debug. Research software: never for use on
 pub struct Cli {
     #[command(subcommand)]
     command: Commands,
+    #[command(flatten)]
+    force: ForceArgs,
 }
 
 impl Program for Cli {

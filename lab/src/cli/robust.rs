@@ -13,6 +13,7 @@ use campaign::Campaign;
 use host::args::controller::Chosen;
 use host::args::gains::format_gains;
 use host::args::shards::ShardFolderArgs;
+use host::command::bounds::within;
 use host::command::{Command, Context, Output, OutputArgs, write};
 use laws::policy::account::Account;
 use laws::policy::in_turns;
@@ -63,13 +64,13 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE", default_value = NAMES[0])]
     prescriptions: String,
     /// Number of plants
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = within::<u32>(1, 100_000_000))]
     plants: u32,
     /// Number of plants, the first ones, whose own best PID and bound are searched
-    #[arg(long, value_name = "N", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = within::<u32>(0, 100_000_000))]
     subset: u32,
     /// Breaths on each plant
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = within::<u32>(1, 100_000))]
     breaths: u32,
     #[command(flatten)]
     law: LawArgs,

@@ -6,11 +6,12 @@ use anyhow::{Context as _, ensure};
 use serde::Serialize;
 
 use campaign::record::{Ending, Record, State};
+use data::kind::Kind;
 use experiments::runs::{
     Comparison, OptionDifference, Run, RunsError, check_figure, figure_names, find, listed, named, plots,
     sort,
 };
-use host::command::{Command, Context, Output, OutputArgs, write};
+use host::command::{Command, Context, OutFile, Output, OutputArgs, write};
 use show::report::{Block, Cell, Plot, Report, Section, Table};
 
 /// List, compare and plot runs by the records they leave
@@ -49,14 +50,14 @@ pub struct Args {
     #[arg(long, value_name = "RUN", num_args = 2..)]
     compare: Vec<String>,
     /// Plot the figures by run, and curves over each other [default: training curves]
-    #[arg(long, value_name = "FILE.svg")]
-    plot: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.svg", value_parser = OutFile::of(Kind::Picture))]
+    plot: Option<OutFile>,
     /// Plot the figures against this option or figure
     #[arg(long, value_name = "NAME", requires = "figure")]
     x: Option<String>,
     /// Write list, comparison and plots to an HTML report
-    #[arg(long, value_name = "FILE.html")]
-    report: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.html", value_parser = OutFile::of(Kind::Page))]
+    report: Option<OutFile>,
     /// Also list the tasks with shards
     #[arg(long)]
     tasks: bool,
@@ -110,7 +111,7 @@ impl Command for Args {
             write(file, Plot::stacked(&plots(&runs, &self.figure, self.x.as_deref())?)?.as_bytes())?;
             context.saved(file);
         }
-        context.report(self.report.as_ref(), || self.report(&runs, tables))?;
+        context.report(self.report.as_deref(), || self.report(&runs, tables))?;
         Ok(Some(Summary { runs: runs.into_iter().map(Listed::of).collect(), comparison }))
     }
 }

@@ -10,6 +10,7 @@ use experiments::submit::parallel::Parallel;
 use experiments::submit::slurm::{Slurm, Submitted};
 use experiments::submit::{Job, SubmitError};
 use host::cli::Cli as Trainer;
+use host::command::bounds::within;
 use host::command::{Command, Context, Makes, Program};
 
 /// Run a command in shards, on Slurm or with GNU parallel
@@ -54,7 +55,7 @@ enum Engine {
         #[command(flatten)]
         common: Common,
         /// Tasks at a time [default: as many as there are cores]
-        #[arg(long, value_name = "N")]
+        #[arg(long, value_name = "N", value_parser = within::<u32>(1, 1_000_000))]
         jobs: Option<u32>,
     },
 }
@@ -63,10 +64,10 @@ enum Engine {
 #[derive(Debug, clap::Args)]
 struct Common {
     /// Number of shards
-    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = within::<u64>(1, 1_000_000))]
     shards: u64,
     /// How often shards that fail are submitted again
-    #[arg(long, value_name = "N", default_value_t = 2)]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = within::<u32>(0, 1000))]
     retries: u32,
     /// Print the script and submit nothing
     #[arg(long)]

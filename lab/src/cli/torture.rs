@@ -5,8 +5,10 @@ use std::path::PathBuf;
 use anyhow::bail;
 
 use host::args::shards::ShardFolderArgs;
+use host::command::bounds::within;
 use host::command::{Command, Context, Output, OutputArgs};
 use trials::faults::cases::LIMIT;
+use trials::faults::cases::LIMITS;
 use trials::faults::torture::{BREATHS_PER_RUN, Peaks, Summary, Torture};
 
 /// Run hostile weights and random faults, and check the pressure
@@ -24,13 +26,13 @@ command continues. The command fails if the true airway pressure exceeds the lim
 15 cmH2O.")]
 pub struct Args {
     /// Number of breaths
-    #[arg(long, value_name = "N", default_value_t = 10_000)]
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = within::<u64>(1, 1_000_000_000))]
     breaths: u64,
     /// Seed of the lungs, weights and faults
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Pressure limit, cmH2O
-    #[arg(long, value_name = "CMH2O", default_value_t = LIMIT, value_parser = super::faults::limit)]
+    #[arg(long, value_name = "CMH2O", default_value_t = LIMIT, value_parser = within::<f32>(LIMITS.0, LIMITS.1))]
     limit: f32,
     /// File that keeps the progress; an existing file is continued
     #[arg(long, value_name = "FILE", conflicts_with = "out")]

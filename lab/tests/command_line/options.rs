@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use clap::{Arg, ArgAction, Command, CommandFactory};
+use host::command::OutFile;
 
 /// Units as the help writes them, and what value names say of them.
 const UNITS: [(&str, &str); 9] = [
@@ -46,7 +47,7 @@ fn kind(option: &Arg) -> String {
         "whole number".to_owned()
     } else if is(&[TypeId::of::<f32>(), TypeId::of::<f64>()]) {
         "number".to_owned()
-    } else if is(&[TypeId::of::<String>(), TypeId::of::<PathBuf>()]) {
+    } else if is(&[TypeId::of::<String>(), TypeId::of::<PathBuf>(), TypeId::of::<OutFile>()]) {
         "text".to_owned()
     } else {
         format!("{id:?}")

@@ -43,7 +43,7 @@ pub fn pirds(args: &Args, layout: Layout, context: &Context<'_>) -> anyhow::Resu
 }
 
 fn exported(args: &Args, recording: &Recording) -> Exported {
-    Exported { file: args.out.clone(), rows: recording.len(), messages: None, events: None }
+    Exported { file: args.out.to_path_buf(), rows: recording.len(), messages: None, events: None }
 }
 
 /// Reads a recording, whose first bytes or else its ending tell that it is one.

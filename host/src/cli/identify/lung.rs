@@ -41,7 +41,7 @@ pub fn run(data: &Path, args: &LungArgs, context: &Context<'_>) -> anyhow::Resul
         write(path, bench::to_toml(&bench, lung).as_bytes())?;
         context.saved(path);
     }
-    context.report(args.report.as_ref(), || report(&recording, &found))?;
+    context.report(args.report.as_deref(), || report(&recording, &found))?;
     Ok(Found { plant: recording.provenance.plant, lungs: found })
 }
 

@@ -9,6 +9,7 @@ use shared::safety::monitors::Monitors;
 use campaign::Campaign;
 use host::args::shards::ShardFolderArgs;
 use host::command::Context;
+use host::command::bounds::within;
 use show::report::{Cell, Table};
 use trials::draw::case::Case;
 use trials::draw::needs::{Need, Needing, Needs, is_out_of_reach};
@@ -24,7 +25,7 @@ const SHOWN: usize = 40;
 #[derive(Debug, clap::Args)]
 pub struct DrawArgs {
     /// Draw this many cases from all that is allowed, and hold each to the four promises
-    #[arg(long, value_name = "N", conflicts_with_all = ["bench", "seeds", "limit", "nominal", "report"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["bench", "seeds", "limit", "nominal", "report"], value_parser = within::<u64>(1, 1_000_000_000))]
     pub draw: Option<u64>,
     /// Seed of the drawn cases
     #[arg(long, requires = "draw", default_value_t = 1)]

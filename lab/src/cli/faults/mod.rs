@@ -2,8 +2,6 @@
 
 mod drawn;
 
-use std::path::PathBuf;
-
 use anyhow::{anyhow, bail};
 use serde::Serialize;
 use shared::breath::DEFAULT_PERIOD_US;
@@ -11,9 +9,11 @@ use shared::safety::monitors::Monitors;
 
 use drawn::{DrawArgs, DrawnSummary};
 
+use data::kind::Kind;
 use data::provenance::Provenance;
 use host::args::bench::benches;
-use host::command::{Command, Context, Output, OutputArgs};
+use host::command::bounds::within;
+use host::command::{Command, Context, OutFile, Output, OutputArgs};
 use plant::bench::BenchConfig;
 use show::report::{Block, Cell, Report, Section, Table};
 use trials::faults::cases::{LIMIT, LIMITS};
@@ -56,7 +56,7 @@ pub struct Args {
     #[arg(long, value_name = "SEED,..", value_delimiter = ',', default_values_t = [1, 2])]
     seeds: Vec<u64>,
     /// Pressure limit, cmH2O; rows about breaths that end at the limit have a lower one of their own
-    #[arg(long, value_name = "CMH2O", default_value_t = LIMIT, value_parser = limit)]
+    #[arg(long, value_name = "CMH2O", default_value_t = LIMIT, value_parser = within::<f32>(LIMITS.0, LIMITS.1))]
     limit: f32,
     /// Leave out this monitor or response, such as reading-frozen or "step to the PID"
     #[arg(long, value_name = "NAME")]
@@ -65,23 +65,15 @@ pub struct Args {
     #[arg(long, conflicts_with_all = ["without", "keep", "out", "save_failures"])]
     mutate: bool,
     /// Run this many breaths without a fault and require that no alarm occurs
-    #[arg(long, value_name = "N", conflicts_with_all = ["without", "mutate"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["without", "mutate"], value_parser = within::<u32>(1, 1_000_000_000))]
     nominal: Option<u32>,
     /// Write the matrix to an HTML report
-    #[arg(long, value_name = "FILE.html")]
-    report: Option<PathBuf>,
+    #[arg(long, value_name = "FILE.html", value_parser = OutFile::of(Kind::Page))]
+    report: Option<OutFile>,
     #[command(flatten)]
     drawn: DrawArgs,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-/// Parses a pressure limit.
-pub fn limit(text: &str) -> Result<f32, String> {
-    match text.parse() {
-        Ok(limit) if limit >= LIMITS.0 && limit <= LIMITS.1 => Ok(limit),
-        _ => Err(format!("give a limit from {} to {} cmH2O", LIMITS.0, LIMITS.1)),
-    }
 }
 
 /// The content of `--json`.
@@ -147,7 +139,7 @@ fn faults(
     let rows = context.progress(|progress| matrix(lungs, &args.seeds, args.limit, monitors, progress))?;
     let table = table(&rows);
     context.table(&table);
-    context.report(args.report.as_ref(), || Ok(report(table, args.limit)))?;
+    context.report(args.report.as_deref(), || Ok(report(table, args.limit)))?;
     Ok(Summary::Matrix { rows })
 }
 
