@@ -113,7 +113,7 @@ fn links_pipes_and_devices_stay_what_they_are() {
     place.ok("judge first.parquet --json pipe");
     assert_eq!(text(&reader.wait_with_output().unwrap().stdout), json);
     assert!(fs::metadata(place.path("pipe")).unwrap().file_type().is_fifo());
-    place.ok("identify first.parquet --json /dev/null --report /dev/null");
+    place.ok("evaluate --pips 20 --breaths 1 --json /dev/null --report /dev/null");
     assert!(!fs::metadata("/dev/null").unwrap().is_file());
 }
 
