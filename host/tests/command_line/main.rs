@@ -15,6 +15,7 @@ mod interrupted;
 mod judge;
 mod keys;
 mod outputs;
+mod pages;
 mod pipeline;
 mod plant;
 mod python;

@@ -1,5 +1,6 @@
 //! The `lab` command line from the user's side: the real program, its output, files and exit codes.
 
+mod commands_page;
 mod endure;
 mod help;
 mod interrupted;
