@@ -90,9 +90,11 @@ impl Command for Args {
         let summary = &demo.summary;
         context.table(&summary.table());
         let gains = summary.pid_gains;
+        let [pid_effort, effort] = summary.means().map(|score| score.effort.total_variation);
         context.line(&format!(
             "best PID: P {:.3}, I {:.1}, D {:.4}; mean error {:.3} cmH2O, P only {:.3}, I only {:.3}\n\
          learned:  mean error {:.3} cmH2O, {:.0} % of the best PID's; {:.3} on its learned simulator\n\
+         valve:    effort on the plateau {pid_effort:.0} %/s under the PID, {effort:.0} under the learned controller\n\
          simulator: open-loop distance {:.3} cmH2O on held-out breaths\n\
          report: {}",
             gains.p,

@@ -14,8 +14,15 @@ use data::kind::Kind;
 
 /// Name of the option that lets a command replace what it would spare.
 pub(super) const FORCE: &str = "force";
+/// The path that stands for standard output.
+const STANDARD_OUTPUT: &str = "-";
 /// Bytes that a folder must take.
 const PROBE: usize = 4096;
+
+/// Whether a path stands for standard output.
+pub(super) fn is_standard_output(path: &Path) -> bool {
+    path == Path::new(STANDARD_OUTPUT)
+}
 
 /// The option for all commands.
 #[derive(Debug, clap::Args)]
@@ -53,11 +60,6 @@ impl OutFile {
         } else {
             Ok(Self { path, kind })
         }
-    }
-
-    /// Whether it stands for standard output.
-    pub(super) fn is_standard_output(&self) -> bool {
-        self.path == Path::new(super::output::STANDARD_OUTPUT)
     }
 
     /// Checks that the file can be written and that nothing else is lost.
@@ -131,7 +133,7 @@ pub(super) fn check(program: &Command, matches: &ArgMatches) -> anyhow::Result<(
             inputs.extend(values.flat_map(names_in).filter(|name| name.is_file()));
         }
     }
-    outputs.retain(|(_, file)| !file.is_standard_output());
+    outputs.retain(|(_, file)| !is_standard_output(file));
     for (n, (option, output)) in outputs.iter().enumerate() {
         let shown = output.display();
         if inputs.iter().any(|input| is_same(input, output)) {

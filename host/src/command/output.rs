@@ -6,14 +6,12 @@ use std::path::Path;
 use anyhow::Context;
 use serde::Serialize;
 
-use super::out_file::OutFile;
+use super::out_file::{OutFile, is_standard_output};
 use data::files::write_atomically;
 use data::kind::Kind;
 
 /// Name of the option for the results as JSON. Where they go does not matter to what a command makes.
 pub(super) const JSON: &str = "json";
-/// The path that stands for standard output.
-pub(super) const STANDARD_OUTPUT: &str = "-";
 
 /// Output options.
 #[derive(Debug, clap::Args)]
@@ -63,10 +61,6 @@ impl Output<'_> {
     pub(super) fn is_standard_output(&self) -> bool {
         self.json.is_some_and(is_standard_output)
     }
-}
-
-fn is_standard_output(path: &Path) -> bool {
-    path == Path::new(STANDARD_OUTPUT)
 }
 
 /// Writes JSON to a file, or to standard output for `-`.

@@ -114,6 +114,16 @@ fn settings_that_cannot_be() {
 }
 
 #[test]
+fn a_key_that_cannot_be_read_is_found_before_the_training() {
+    let place = Place::new();
+    // With so many breaths the training would take hours.
+    for command in ["train --breaths 10000000", "train-family", "commission --breaths 1000000"] {
+        assert!(place.refused(&format!("{command} --out a --key absent")).contains("absent"), "{command}");
+        assert!(!place.path("a").exists(), "{command}");
+    }
+}
+
+#[test]
 fn an_unknown_lung() {
     let place = Place::new();
     assert!(place.refused("collect --out a.parquet --bench Bob").contains("R20C20"));

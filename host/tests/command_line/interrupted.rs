@@ -30,6 +30,17 @@ fn an_interrupted_fit_saves_the_simulator() {
 
 #[test]
 #[cfg(unix)]
+fn a_training_that_is_interrupted_before_its_first_controller_has_stopped() {
+    let place = Place::new();
+    let output = place.interrupt("train --out a --breaths 10000000");
+    assert_eq!(output.status.code(), INTERRUPTED, "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("run the same command again"), "{}", text(&output.stderr));
+    let record = std::fs::read_to_string(place.path("a/made-by.json")).unwrap();
+    assert!(record.contains("\"stopped\""), "{record}");
+}
+
+#[test]
+#[cfg(unix)]
 fn an_interrupted_search_gives_the_best_so_far() {
     let place = Place::new();
     let output = place.interrupt("tune-pid --bench iso --grid exhaustive --breaths 50 --json -");

@@ -194,6 +194,10 @@ fn a_controller_is_trained_on_simulators_already_fitted() {
         let refused = place.refused(&format!("{line} {other}"));
         assert!(refused.contains("once belongs to another run: ") && refused.contains(what), "{refused}");
     }
+    let twice = place.refused("train --simulator 1.safetensors ./1.safetensors --out twice");
+    assert!(twice.contains("the same simulator"), "{twice}");
+    let alone = place.ok("train --simulator 1.safetensors --iterations 10 --batch 16 --out alone");
+    assert!(alone.contains("its own simulator") && !alone.contains("held-out"), "{alone}");
 }
 
 #[test]

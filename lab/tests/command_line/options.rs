@@ -4,6 +4,7 @@ use std::any::TypeId;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
+use clap::error::ErrorKind;
 use clap::{Arg, ArgAction, Command, CommandFactory};
 use host::command::OutFile;
 
@@ -108,6 +109,50 @@ fn value_names_are_from_one_list() {
             assert!(!value.is_empty() && !alike.contains(&value), "--{name} {value}");
             let fine = ["SEED", "PORT", "PLANT", "POLICY", "OPTION", "HOURS"];
             assert!(value != own || fine.contains(&value), "--{name} has no value name");
+        }
+    }
+}
+
+/// The commands of both programs with their options that take numbers: those that refuse a word and accept some number.
+fn numeric_options() -> Vec<(Command, String)> {
+    let programs = [host::cli::Cli::command(), lab::cli::Cli::command()];
+    let commands = programs.iter().flat_map(Command::get_subcommands).flat_map(|command| {
+        let inner = command.get_subcommands().cloned();
+        std::iter::once(command.clone()).chain(inner)
+    });
+    let numeric = commands.flat_map(|command| {
+        let names = command.get_arguments().filter(|option| option.get_action().takes_values());
+        let names: Vec<String> = names.filter_map(|option| option.get_long().map(str::to_owned)).collect();
+        let is_number = |name: &String| {
+            let accepts = |value: &str| refused(&command, name, value).is_none();
+            // A port is a number too, with an error of its own.
+            name != "listen" && !accepts("word") && ["1", "8", "20", "45", "1000"].into_iter().any(accepts)
+        };
+        let numeric: Vec<String> = names.into_iter().filter(is_number).collect();
+        numeric.into_iter().map(move |name| (command.clone(), name))
+    });
+    numeric.collect()
+}
+
+/// Why a command refuses a value of an option, if it does.
+fn refused(command: &Command, option: &str, value: &str) -> Option<String> {
+    let typed = [command.get_name(), &format!("--{option}={value}")].map(str::to_owned);
+    let error = command.clone().try_get_matches_from(typed).err()?;
+    let is_of_value = matches!(error.kind(), ErrorKind::ValueValidation | ErrorKind::InvalidValue);
+    is_of_value.then(|| error.to_string())
+}
+
+#[test]
+fn every_number_of_every_command_has_bounds_that_its_errors_state() {
+    let numeric = numeric_options();
+    assert!(numeric.len() > 60, "{}", numeric.len());
+    for (command, option) in numeric {
+        for value in ["nan", "inf", "-inf", "-1e30", "1e300", "", "99999999999999999999999"] {
+            let refused = refused(&command, &option, value);
+            let refused = refused.unwrap_or_else(|| panic!("{} --{option}={value}", command.get_name()));
+            // A seed has all whole numbers.
+            let bounds = refused.contains(" from ") || refused.contains("allowed") || option.contains("seed");
+            assert!(refused.contains(&format!("--{option}")) && bounds, "{refused}");
         }
     }
 }

@@ -110,6 +110,9 @@ pub enum MapError {
     /// Unknown unit.
     #[error("[{quantity}] of the column map: unknown unit `{unit}`: write one of {known}")]
     Unit { quantity: &'static str, unit: String, known: String },
+    /// A separator of more than one byte.
+    #[error("the column map's separator `{0}` is none that a table can have: write one ASCII character")]
+    Separator(char),
     /// A number out of range.
     #[error("{0} of the column map must be a number above 0")]
     Number(&'static str),
@@ -312,6 +315,10 @@ impl ColumnMap {
         for (origin, quantity) in origins.iter_mut().zip(Quantity::ALL) {
             *origin = self.entry(quantity).map(|entry| entry.origin(quantity)).transpose()?;
         }
+        let separator = match self.separator {
+            Some(character) if !character.is_ascii() => return Err(MapError::Separator(character)),
+            character => character.map_or(b',', |character| character as u8),
+        };
         let (valve, target) = (self.u_out.is_some(), self.target.is_some());
         let start = match self.breath {
             Some(_) => StartBy::Number,
@@ -329,7 +336,7 @@ impl ColumnMap {
             plant: self.plant.clone().unwrap_or_else(|| "unknown".into()),
             note: self.note.clone(),
             period_s,
-            separator: self.separator.and_then(|c| u8::try_from(c).ok()).unwrap_or(b','),
+            separator,
             breath: self.breath.as_ref().map(|label| label.column.clone()),
             group: self.group.as_ref().map(|group| group.column.clone()),
             run: self.group.as_ref().and_then(|group| group.run.clone()),

@@ -104,7 +104,8 @@ fn import_rows<R: RowSource>(
     let Assembler { account, mut writer, .. } = assembler;
     let summary = account.finish(period_us, groups.len());
     if summary.breaths == 0 {
-        return Err(DatasetError::NoBreath(paths.len()));
+        let rows = summary.rows;
+        return Err(DatasetError::NoBreath { rows, seconds: rows as f64 * f64::from(period_us) * 1e-6 });
     }
     writer.provenance().groups = groups;
     writer.provenance().notes.push(summary.note());
@@ -143,7 +144,7 @@ fn common_period_us(paths: &[PathBuf], layout: &TableLayout) -> Result<u32, Data
 
 /// The first of the files' sample periods, which the others must share.
 fn same_period(paths: &[PathBuf], periods_us: &[u32]) -> Result<u32, DatasetError> {
-    let expected_us = *periods_us.first().ok_or(DatasetError::NoBreath(0))?;
+    let expected_us = *periods_us.first().ok_or(DatasetError::NoTables)?;
     let other =
         |found_us: u32| f64::from(found_us.abs_diff(expected_us)) > SAME_PERIOD * f64::from(expected_us);
     match paths.iter().zip(periods_us).find(|(_, found_us)| other(**found_us)) {
@@ -165,6 +166,9 @@ fn period_us(path: &Path, layout: &TableLayout) -> Result<u32, DatasetError> {
         {
             steps.push(time - last);
         }
+    }
+    if last.is_none() {
+        return Err(DatasetError::NoTable { path: path.to_owned(), reason: "has a header, but no rows" });
     }
     steps.sort_by(f64::total_cmp);
     let median = steps.get(steps.len() / 2).map_or(0, |step| (step * 1e6).round() as u32);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind, Read, Seek};
 use std::path::{Path, PathBuf};
 
 use csv::ByteRecord;
@@ -16,6 +16,12 @@ pub type Fields = [f64; QUANTITIES];
 
 /// Tolerance of a command outside 0..100 %, for rounding.
 const PERCENT_SLACK: f64 = 0.1;
+/// Pressure that no ventilator has, cmH2O.
+const PRESSURE_MOST: f64 = 500.0;
+/// Command that no valve has, percent: scaled ones may overshoot their range.
+const COMMAND_MOST: f64 = 200.0;
+/// Number of names of a header that an error shows.
+const NAMES: usize = 8;
 /// Number of bytes read from the file at a time.
 const BUFFER: usize = 1 << 20;
 
@@ -63,6 +69,70 @@ pub(super) fn index_of(groups: &mut Vec<TestRun>, run: TestRun) -> u32 {
     }) as u32
 }
 
+/// Opens a file, unless it is plainly no text in UTF-8.
+fn text_file(path: &Path) -> Result<File, DatasetError> {
+    let failed = |source: io::Error| match source.kind() {
+        ErrorKind::NotFound => DatasetError::Missing(path.to_owned()),
+        ErrorKind::IsADirectory => {
+            DatasetError::NoTable { path: path.to_owned(), reason: "is a folder: name a table" }
+        }
+        _ => DatasetError::Read { path: path.to_owned(), source },
+    };
+    let mut file = File::open(path).map_err(failed)?;
+    let mut start = [0; 4];
+    let length = file.read(&mut start).map_err(failed)?;
+    file.rewind().map_err(failed)?;
+    let reason = match start[..length] {
+        [] => "is empty",
+        [0x1f, 0x8b, ..] => "is compressed: unpack it first, as with gunzip",
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => "is in UTF-16: convert it, as with iconv -f UTF-16 -t UTF-8",
+        [b'P', b'A', b'R', b'1'] => "is a Parquet file, not a table in text",
+        _ => return Ok(file),
+    };
+    Err(DatasetError::NoTable { path: path.to_owned(), reason })
+}
+
+/// Index of the column with this name.
+fn find(path: &Path, header: &ByteRecord, name: &str) -> Result<usize, DatasetError> {
+    let mut found = header.iter().enumerate().filter(|(_, head)| head.trim_ascii() == name.as_bytes());
+    match (found.next(), found.next()) {
+        (Some((index, _)), None) => Ok(index),
+        (Some(_), Some(_)) => {
+            Err(DatasetError::TableColumns { path: path.to_owned(), column: name.to_owned() })
+        }
+        (None, _) => Err(DatasetError::TableColumn {
+            path: path.to_owned(),
+            column: name.to_owned(),
+            found: shown(header),
+            // A line that was not split has the separator in its only name.
+            correct: if header.len() == 1 {
+                "the separator in the column map"
+            } else {
+                "the column map, or that line"
+            },
+        }),
+    }
+}
+
+/// The names of a header, the first ones if there are many.
+fn shown(header: &ByteRecord) -> String {
+    let names = header.iter().take(NAMES).map(|name| format!("`{}`", String::from_utf8_lossy(name).trim()));
+    let rest = if header.len() > NAMES { ", ..." } else { "" };
+    names.collect::<Vec<_>>().join(", ") + rest
+}
+
+/// Why text is no number, and what to do.
+fn no_number(text: &str) -> &'static str {
+    let one_comma = text.split_once(',').map(|(whole, digits)| format!("{whole}.{digits}"));
+    if one_comma.is_some_and(|point| point.parse::<f64>().is_ok()) {
+        "is not a number: it has a decimal comma; write decimal points"
+    } else if text.contains(':') && text.starts_with(|first: char| first.is_ascii_digit()) {
+        "is not a number, but a time of day: write seconds since the first row"
+    } else {
+        "is not a number: correct the cell, or remove the line, as one that has units"
+    }
+}
+
 /// An open table.
 #[derive(Debug)]
 pub struct TableReader<'a> {
@@ -88,20 +158,15 @@ impl<'a> TableReader<'a> {
     /// # Errors
     /// The file cannot be read, or lacks a column of the layout.
     pub fn open(path: &Path, layout: &'a TableLayout) -> Result<Self, DatasetError> {
-        let file = File::open(path).map_err(|source| match source.kind() {
-            ErrorKind::NotFound => DatasetError::Missing(path.to_owned()),
-            _ => DatasetError::Read { path: path.to_owned(), source },
-        })?;
-        let mut table =
-            csv::ReaderBuilder::new().delimiter(layout.separator).buffer_capacity(BUFFER).from_reader(file);
+        let mut table = csv::ReaderBuilder::new()
+            .delimiter(layout.separator)
+            .buffer_capacity(BUFFER)
+            .from_reader(text_file(path)?);
         let header = table
-            .headers()
+            .byte_headers()
             .map_err(|source| DatasetError::TableLine { path: path.to_owned(), source })?
             .clone();
-        let find = |name: &str| {
-            let found = header.iter().position(|head| head.trim() == name);
-            found.ok_or_else(|| DatasetError::TableColumn { path: path.to_owned(), column: name.to_owned() })
-        };
+        let find = |name: &str| find(path, &header, name);
         let mut places = [None; QUANTITIES];
         for (place, origin) in places.iter_mut().zip(&layout.origins) {
             if let Some(ColumnSource::Column { name, .. }) = origin {
@@ -151,11 +216,11 @@ impl<'a> TableReader<'a> {
     }
 
     fn number(&self, quantity: usize) -> Result<f64, DatasetError> {
-        let text = std::str::from_utf8(self.cell(quantity)).ok();
-        match text.and_then(|text| text.parse::<f64>().ok()) {
-            Some(number) if number.is_finite() => Ok(number),
-            Some(_) => Err(self.bad_cell(quantity, "is not finite")),
-            None => Err(self.bad_cell(quantity, "is not a number")),
+        let text = std::str::from_utf8(self.cell(quantity)).unwrap_or_default();
+        match text.parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            Ok(_) => Err(self.bad_cell(quantity, "is not finite: correct the cell, or remove the line")),
+            Err(_) => Err(self.bad_cell(quantity, no_number(text))),
         }
     }
 
@@ -164,7 +229,26 @@ impl<'a> TableReader<'a> {
         if (-PERCENT_SLACK..=100.0 + PERCENT_SLACK).contains(&value) {
             return Ok(value.clamp(0.0, 100.0));
         }
-        Err(self.bad_cell(quantity, "is not a command from 0 to 1"))
+        Err(self.bad_cell(
+            quantity,
+            "is not a command from 0 to 1: correct the cell, or the unit in the column map",
+        ))
+    }
+
+    /// Checks that a value can be one of a ventilator at all: if not, its unit or scale is wrong.
+    fn plausible(&self, quantity: usize, value: f64) -> Result<f64, DatasetError> {
+        let most = match Quantity::ALL[quantity] {
+            Quantity::Pressure | Quantity::Target => PRESSURE_MOST,
+            Quantity::UIn | Quantity::UOut | Quantity::UPsol => COMMAND_MOST,
+            _ => f64::INFINITY,
+        };
+        if value.abs() <= most {
+            return Ok(value);
+        }
+        Err(self.bad_cell(
+            quantity,
+            "is impossible in this unit: correct the cell, or unit and scale in the column map",
+        ))
     }
 
     fn bad_cell(&self, quantity: usize, reason: &'static str) -> DatasetError {
@@ -202,7 +286,7 @@ impl RowSource for TableReader<'_> {
                 Some(ColumnSource::Value(value)) => *value,
                 Some(ColumnSource::Column { factor, offset, share, .. }) => {
                     let value = factor * self.number(quantity)? + offset;
-                    if *share { self.percent(quantity, value)? } else { value }
+                    if *share { self.percent(quantity, value)? } else { self.plausible(quantity, value)? }
                 }
             };
         }

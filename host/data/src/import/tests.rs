@@ -235,9 +235,66 @@ fn bad_cells_columns_and_tables_are_named() {
     let kaggle_map = ColumnMap::kaggle().unwrap();
     let error = imported("id,breath_id,R,C\n1,1,1,1\n", &kaggle_map).unwrap_err().to_string();
     assert!(error.contains("no column `time_step`"), "{error}");
-    assert!(matches!(imported(&kaggle(0), &kaggle_map), Err(DatasetError::NoPeriod { .. })));
-    assert!(matches!(from_rows(&mapped(15)), Err(DatasetError::NoBreath(1))));
+    assert!(error.contains("`id`, `breath_id`, `R`, `C`"), "{error}");
+    let error = from_rows(&mapped(15)).unwrap_err().to_string();
+    assert!(error.contains("15 rows of ") && error.contains("unit of [time]"), "{error}");
     let layout = kaggle_map.layout().unwrap();
     let absent = import(&["none.csv".into()], &layout, Path::new("x.parquet"), &Progress::silent());
     assert!(matches!(absent, Err(DatasetError::Missing { .. })));
+}
+
+#[test]
+fn a_file_that_is_no_table_is_told_as_what_it_is_with_what_to_do() {
+    let map = ColumnMap::kaggle().unwrap();
+    let layout = map.layout().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |path: &Path| {
+        let out = folder.path().join("out.parquet");
+        import(&[path.to_owned()], &layout, &out, &Progress::silent()).unwrap_err().to_string()
+    };
+    assert!(refused(folder.path()).contains("is a folder"));
+    let path = folder.path().join("table.csv");
+    let utf16: Vec<u8> = kaggle(9).encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for (content, told) in [
+        (Vec::new(), "is empty"),
+        (kaggle(0).into_bytes(), "no rows"),
+        ([&b"\xff\xfe"[..], &utf16].concat(), "iconv -f UTF-16"),
+        (b"\x1f\x8b\x08\x00".to_vec(), "gunzip"),
+        (kaggle(9).replace(',', ";").into_bytes(), "correct the separator"),
+        (kaggle(9).replace("id,breath_id", "u_out,breath_id").into_bytes(), "several columns `u_out`"),
+    ] {
+        fs::write(&path, content).unwrap();
+        let refused = refused(&path);
+        assert!(refused.contains(told) && refused.contains("table.csv"), "{refused}");
+    }
+}
+
+#[test]
+fn a_cell_that_is_no_number_is_told_as_what_it_may_be() {
+    let rows = mapped(420);
+    for (cell, told) in [
+        (";0,5;", "decimal comma"),
+        (";12:00:01;", "time of day"),
+        (";L/min;", "one that has units"),
+        (";;", "is not a number"),
+    ] {
+        let mut wrong = rows.clone();
+        wrong[50] = wrong[50].replace(";30;", cell);
+        let refused = from_rows(&wrong).unwrap_err().to_string();
+        assert!(refused.contains("line 52") && refused.contains(told), "{refused}");
+    }
+}
+
+#[test]
+fn values_that_no_ventilator_has_are_refused() {
+    let map = ColumnMap::kaggle().unwrap();
+    let table = kaggle(9);
+    let pressures = table.lines().map(|line| match line.rsplit_once(',') {
+        Some((rest, pressure)) if pressure.parse::<f64>().is_ok() => format!("{rest},{pressure}e6\n"),
+        _ => format!("{line}\n"),
+    });
+    let refused = imported(&pressures.collect::<String>(), &map).unwrap_err().to_string();
+    assert!(refused.contains("`pressure`") && refused.contains("impossible in this unit"), "{refused}");
+    let layout = ColumnMap::from_toml("separator = '\u{20ac}'\ninspiration_s = 1\n[time]\ncolumn = 't'\n[pressure]\ncolumn = 'p'\n[u_in]\ncolumn = 'u'\n[breath]\ncolumn = 'b'\n").unwrap();
+    assert!(layout.layout().unwrap_err().to_string().contains("separator"));
 }

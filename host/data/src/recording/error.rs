@@ -67,13 +67,17 @@ pub enum DatasetError {
     /// A line of a table cannot be split into cells.
     #[error("{path}: {source}: correct or remove that line")]
     TableLine { path: PathBuf, source: csv::Error },
+    /// A file is no table that can be read.
+    #[error("{path} {reason}")]
+    NoTable { path: PathBuf, reason: &'static str },
     /// A table lacks a column named in the column map.
-    #[error("{path} has no column `{column}`: correct the column map, or the header of the table")]
-    TableColumn { path: PathBuf, column: String },
+    #[error("{path} has no column `{column}`; its first line has {found}: correct {correct}")]
+    TableColumn { path: PathBuf, column: String, found: String, correct: &'static str },
+    /// A name of the column map is that of several columns.
+    #[error("{path} has several columns `{column}`: rename all but the one that is meant")]
+    TableColumns { path: PathBuf, column: String },
     /// A cell of a table with a column map cannot be used.
-    #[error(
-        "{path}, line {line}, column `{column}`: `{value}` {reason}: correct the cell or remove the line"
-    )]
+    #[error("{path}, line {line}, column `{column}`: `{value}` {reason}")]
     TableCell { path: PathBuf, line: u64, column: String, value: String, reason: &'static str },
     /// A line of a PIRDS file is not an event.
     #[error("{path}, line {line}: {reason}")]
@@ -93,6 +97,11 @@ pub enum DatasetError {
     )]
     Stopped,
     /// The tables contain no breath.
-    #[error("no start of a breath found in {0} tables: check the column map")]
-    NoBreath(usize),
+    #[error(
+        "no start of a breath found in {rows} rows of {seconds:.1} s: check in the column map what starts a breath, and the unit of [time]"
+    )]
+    NoBreath { rows: usize, seconds: f64 },
+    /// There is no table.
+    #[error("name at least one table")]
+    NoTables,
 }

@@ -106,10 +106,16 @@ impl DemoSummary {
         for row in &self.waveforms {
             table.row(cells(row.pip.to_string(), &row.pid, &row.learned));
         }
+        let [pid, learned] = self.means();
+        table.row(cells("mean".into(), &pid, &learned));
+        table
+    }
+
+    /// Means of the best PID and of the learned controller over the waveforms.
+    pub fn means(&self) -> [Score; 2] {
         let mean =
             |of: fn(&Compared) -> Score| Score::mean(&self.waveforms.iter().map(of).collect::<Vec<_>>());
-        table.row(cells("mean".into(), &mean(|row| row.pid), &mean(|row| row.learned)));
-        table
+        [mean(|row| row.pid), mean(|row| row.learned)]
     }
 }
 

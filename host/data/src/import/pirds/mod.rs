@@ -41,11 +41,11 @@ pub fn import_pirds(
     let layout = layout(&surveys);
     let mut surveys = surveys.into_iter();
     let open = |path: &Path| {
-        let survey = surveys.next().ok_or(DatasetError::NoBreath(0))?;
+        let survey = surveys.next().ok_or(DatasetError::NoTables)?;
         EventRows::open(path, survey)
     };
     import_rows(paths, &layout, period_us, out, progress, open).map_err(|error| match error {
-        DatasetError::NoBreath(_) => {
+        DatasetError::NoBreath { .. } => {
             unusable(&paths[0], "no breath was found in its pressure or flow: export a longer part")
         }
         error => error,

@@ -167,7 +167,7 @@ fn a_short_line_a_missing_column_and_a_missing_file_are_told_apart() {
 
 #[test]
 fn tables_without_a_breath_or_at_two_rates_are_refused() {
-    assert!(matches!(import_lines(&lines("AIR", 1, 40, 0.1)), Err(DatasetError::NoBreath(1))));
+    assert!(matches!(import_lines(&lines("AIR", 1, 40, 0.1)), Err(DatasetError::NoBreath { .. })));
     let folder = tempfile::tempdir().unwrap();
     let fast = write(folder.path(), "fast.csv", &lines("AIR", 1, 400, 0.1));
     let mut slow = lines("AIR", 2, 400, 0.1);
