@@ -9,6 +9,7 @@ use shared::device::KNOWN_GOOD;
 use host::args::controller::{Chosen, ControllerArgs};
 use host::args::gains::format_gains;
 use host::args::plant::{own_period_us, period_us};
+use host::command::bounds::within;
 use laws::policy::PolicyLaw;
 use laws::policy::link::PolicyLink;
 use laws::rivals::Rival;
@@ -25,7 +26,7 @@ pub struct LawArgs {
     controller: ControllerArgs,
     /// Values of the parameters of a rival (--controller variable-gain, iterative, feed-forward or gated), in the order in which
     /// `lab tune-rival` prints them [default: those tuned for adults]
-    #[arg(long, value_name = "VALUE,..", value_delimiter = ',', requires = "controller")]
+    #[arg(long, value_name = "VALUE,..", value_delimiter = ',', requires = "controller", value_parser = within::<f32>(-1e4, 1e4))]
     parameters: Option<Vec<f32>>,
 }
 
