@@ -17,6 +17,7 @@ pub mod fit_summary;
 pub mod identify;
 mod limits;
 mod lung_report;
+mod settled;
 mod sore_spots;
 mod swings;
 #[cfg(test)]
@@ -38,6 +39,7 @@ use self::figures::Context;
 pub use self::figures::Figures;
 pub use self::limits::{Kind, LimitResult, Limits, Violation};
 pub use self::lung_report::{IsoMatch, LungReport, Mean};
+use self::settled::Settled;
 pub use self::sore_spots::SoreSpot;
 pub use self::swings::Swings;
 use crate::identify::LungId;
@@ -198,9 +200,8 @@ struct RecordingContext<'a> {
     noise: f64,
 }
 
-/// What makes two breaths comparable: group, R and C; with PIP and PEEP for the inspiration. Bits, because NaN is
-/// possible.
-type Key = [u32; 5];
+/// What makes two breaths comparable: group, R and C. Bits, because NaN is possible.
+type LungKey = [u32; 3];
 
 impl RecordingContext<'_> {
     /// Judges each breath.
@@ -210,8 +211,17 @@ impl RecordingContext<'_> {
             all.iter().map(|rows| BreathCurve::new(self.recording, self.pressure, rows.clone())).collect();
         let sound = || all.iter().zip(&curves).filter_map(|(rows, curve)| Some((rows, curve.as_ref().ok()?)));
         let lengths = usual(sound().map(|(rows, curve)| (self.lung_key(rows), curve.length_s())));
-        let inspirations = usual(sound().map(|(rows, curve)| (self.key(rows), curve.inspiration_s())));
-        let mut lungs: HashMap<Key, usize> = HashMap::new();
+        let settled = |level: fn(&BreathCurve) -> f64| {
+            if self.set_point { Settled::exact() } else { Settled::measured(sound().map(|(_, c)| level(c))) }
+        };
+        let (pips, peeps) = (settled(|curve| curve.pip), settled(|curve| curve.peep));
+        let settings = |curve: &BreathCurve| (pips.setting(curve.pip), peeps.setting(curve.peep));
+        let key = |rows: &Range<usize>, curve: &BreathCurve| {
+            let (pip, peep) = settings(curve);
+            (self.lung_key(rows), pip.to_bits(), peep.to_bits())
+        };
+        let inspirations = usual(sound().map(|(rows, curve)| (key(rows, curve), curve.inspiration_s())));
+        let mut lungs: HashMap<LungKey, usize> = HashMap::new();
         let (mut breaths, mut unjudged) = (Vec::new(), Vec::new());
         for (rows, curve) in all.iter().zip(&curves) {
             let (number, lung) = (self.recording.breath[rows.start], LungId::of(self.recording, rows.start));
@@ -226,16 +236,17 @@ impl RecordingContext<'_> {
             let context = Context {
                 set_point: self.set_point,
                 noise: self.noise,
-                usual_inspiration_s: inspirations[&self.key(rows)].0,
+                usual_inspiration_s: inspirations[&key(rows, curve)].0,
                 whole: count > 1 && curve.length_s() >= WHOLE * usual_length,
             };
             let next = lungs.len();
             let flow = context.whole.then(|| self.flow(rows, curve)).flatten();
+            let (pip, peep) = settings(curve);
             breaths.push(Breath {
                 number,
                 lung,
-                pip: curve.pip,
-                peep: curve.peep,
+                pip,
+                peep,
                 figures: Figures::new(curve, &context),
                 tidal_volume_ml: flow.map(|flow| flow.0),
                 peak_flow_l_min: flow.map(|flow| flow.1),
@@ -251,17 +262,11 @@ impl RecordingContext<'_> {
         }
     }
 
-    fn lung_key(&self, rows: &Range<usize>) -> Key {
+    fn lung_key(&self, rows: &Range<usize>) -> LungKey {
         let bits =
             |column: &Option<Vec<f32>>| column.as_ref().map_or(0, |values| values[rows.start].to_bits());
         let group = self.recording.group.as_ref().map_or(0, |groups| groups[rows.start]);
-        [group, bits(&self.recording.resistance), bits(&self.recording.compliance), 0, 0]
-    }
-
-    fn key(&self, rows: &Range<usize>) -> Key {
-        let [group, resistance, compliance, ..] = self.lung_key(rows);
-        let settings = [&self.recording.pip, &self.recording.peep].map(|column| column[rows.start].to_bits());
-        [group, resistance, compliance, settings[0], settings[1]]
+        [group, bits(&self.recording.resistance), bits(&self.recording.compliance)]
     }
 
     /// Tidal volume, mL, and highest flow, L/min, of a whole breath; `None` without flows or with missing rows.

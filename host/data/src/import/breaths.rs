@@ -1,5 +1,7 @@
 //! Turns a stream of samples into breaths on an even grid of time.
 
+use std::collections::VecDeque;
+
 use super::account::{Account, ImportSummary};
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
 use super::reader::TableRow;
@@ -14,6 +16,8 @@ const MOST_PERIODS: f64 = 1.75;
 const UNEVEN: f64 = 0.05;
 /// Time before the end of an inspiration over which its plateau is averaged if there is no set-point, seconds.
 const PLATEAU_S: f64 = 0.05;
+/// Time before a breath whose middle pressure is its PEEP if there is no set-point, seconds.
+const PEEP_S: f64 = 0.2;
 /// Number of rows after which a breath without an end is discarded.
 const MOST_ROWS: usize = 200_000;
 
@@ -24,9 +28,11 @@ pub(super) struct Assembler<'a> {
     layout: &'a TableLayout,
     period_s: f64,
     rises: Rises,
-    /// The samples of the current breath, and the set-point before it.
+    /// The samples of the current breath; before it the set-point, and the pressures of the last expiration.
     breath: Vec<TableRow>,
     target_before: f64,
+    pressures_before: Vec<f64>,
+    recent: VecDeque<f64>,
     last: Option<TableRow>,
     within: bool,
     after_gap: bool,
@@ -44,6 +50,8 @@ impl<'a> Assembler<'a> {
             rises: Rises::new(period_s),
             breath: Vec::new(),
             target_before: 0.0,
+            pressures_before: Vec::new(),
+            recent: VecDeque::new(),
             last: None,
             within: false,
             after_gap: false,
@@ -64,6 +72,9 @@ impl<'a> Assembler<'a> {
             self.after_gap = true;
             self.account.counts.gaps += 1;
         }
+        if !follows {
+            self.recent.clear();
+        }
         let starts = match self.layout.start {
             StartBy::Number => sample.next_breath,
             StartBy::Target => self.rises.starts(sample.get(Quantity::Target) as f32),
@@ -76,7 +87,9 @@ impl<'a> Assembler<'a> {
             self.finish()?;
             (self.within, self.after_gap) = (true, false);
             self.target_before = self.last.unwrap_or(sample).get(Quantity::Target);
+            self.pressures_before = self.recent.drain(..).collect();
         }
+        self.remember(&sample);
         self.account.sample(&sample, if numbered { None } else { self.last.as_ref() });
         if self.within {
             self.breath.push(sample);
@@ -94,7 +107,26 @@ impl<'a> Assembler<'a> {
         self.finish()?;
         (self.last, self.within, self.after_gap) = (None, false, false);
         self.rises.reset();
+        self.recent.clear();
         Ok(())
+    }
+
+    /// Keeps the pressure for the PEEP of the next breath.
+    fn remember(&mut self, sample: &TableRow) {
+        let rows = ((PEEP_S / self.period_s).round() as usize).max(1);
+        while self.recent.len() >= rows {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(sample.get(Quantity::Pressure));
+    }
+
+    /// PEEP without a set-point: what the pressure rested at before the breath, which a start that is found late does
+    /// not change; at a first row, that row's pressure.
+    fn peep_before(&self, first: &TableRow) -> f32 {
+        let mut before = self.pressures_before.clone();
+        before.sort_by(f64::total_cmp);
+        before.get(before.len().saturating_sub(1) / 2).copied().unwrap_or(first.get(Quantity::Pressure))
+            as f32
     }
 
     fn follows(&self, last: &TableRow, next: &TableRow) -> bool {
@@ -128,7 +160,7 @@ impl<'a> Assembler<'a> {
         let (pip, peep) = if has_target {
             (setting(targets().fold(lowest, f64::max)), setting(lowest))
         } else {
-            (self.plateau(&samples[..inspiration.max(1)]), samples[0].get(Quantity::Pressure) as f32)
+            (self.plateau(&samples[..inspiration.max(1)]), self.peep_before(&samples[0]))
         };
         self.rows.clear();
         for (tick, sample) in samples.iter().enumerate() {

@@ -32,6 +32,9 @@ pub fn run(data: &Path, args: &LungArgs, context: &Context<'_>) -> anyhow::Resul
     }
     context.table(&table(&found));
     context.table(&behind_circuit(&found));
+    for line in remarks(&found) {
+        context.line(&line);
+    }
     if let Some(path) = &args.write_plant {
         let [lung] = &found[..] else {
             bail!("a bench has one lung, the recording {}: choose one with --group", names(&found));
@@ -102,6 +105,15 @@ fn behind_circuit(found: &[Identified]) -> Table {
     table
 }
 
+/// The remarks of all lungs, each with its lung's name.
+fn remarks(found: &[Identified]) -> Vec<String> {
+    let of_lung = |lung: &Identified| {
+        let name = lung.id.to_string();
+        lung.remarks.iter().map(move |remark| format!("lung {name}: {remark}")).collect::<Vec<_>>()
+    };
+    found.iter().flat_map(of_lung).collect()
+}
+
 fn nominal(value: Option<f64>) -> Cell {
     value.map_or_else(|| Cell::right("unknown"), |value| Cell::number(value, 0))
 }
@@ -116,8 +128,7 @@ fn estimate(estimate: &Estimate) -> Cell {
 fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report> {
     let plots = lungs(recording)?
         .iter()
-        .filter(|lung| found.iter().any(|f| f.id == lung.id))
-        .filter_map(plot)
+        .filter_map(|lung| plot(lung, found.iter().find(|found| found.id == lung.id)?))
         .collect();
     Ok(Report {
         title: "Identified lungs".into(),
@@ -141,9 +152,9 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
 }
 
 /// The middle breath of a lung, with its fit.
-fn plot(lung: &LungCycles) -> Option<Plot> {
+fn plot(lung: &LungCycles, found: &Identified) -> Option<Plot> {
     let (_, breath) = lung.breaths.get(lung.breaths.len() / 2)?;
-    let circuit = lung.identify()?.behind_circuit.circuit_compliance;
+    let circuit = found.behind_circuit.circuit_compliance;
     let series = vec![
         Series::new("measured", Style::Line, points(breath, breath.pressure())),
         Series::new("equation of motion", Style::Dashed, points(breath, &breath.fitted(0.0)?)),

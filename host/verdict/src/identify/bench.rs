@@ -55,8 +55,9 @@ fn resistor(behind: &BehindCircuit) -> (f64, f64) {
 pub fn to_toml(bench: &BenchConfig, lung: &Identified) -> String {
     let behind = &lung.behind_circuit;
     let estimate = |e: &super::Estimate| format!("{:.2} ({:.2} to {:.2})", e.value, e.low, e.high);
+    let remarks: String = lung.remarks.iter().map(|remark| format!("# Beware: {remark}.\n")).collect();
     format!(
-        "# Lung {}, identified by `trainer identify` from {} breaths; estimates with their 95 % intervals.\n\
+        "{remarks}# Lung {}, identified by `trainer identify` from {} breaths; estimates with their 95 % intervals.\n\
          # C {} mL/cmH2O, R {} cmH2O/(L/s), R2 {} cmH2O/(L/s)^2, residual {:.2} cmH2O.\n\
          # Measured: [lung.first] except its inflection, the circuit's compliance, the sensor's noise and quantum.\n\
          # All other values are the defaults of the virtual bench.\n\n{}",

@@ -7,6 +7,8 @@ use engine::least_squares::{Solution, solve};
 
 /// Coefficients of the equation of motion: P0, 1/C, R, R2.
 pub const COEFFICIENTS: usize = 4;
+/// Coefficient of a leak in [`Cycle::leaking`], after those: minus the leak times 1/C.
+pub const LEAK: usize = COEFFICIENTS;
 const ML_PER_L: f64 = 1000.0;
 /// Time span of the rows from which a row's pressure slope is computed, s.
 const SLOPE_S: f64 = 0.02;
@@ -83,6 +85,34 @@ impl Cycle {
         let fit = self.fit(FitSpan::Cycle, Drift::Corrected, circuit)?;
         let value = |row: [f64; COEFFICIENTS]| row.iter().zip(fit.coefficients).map(|(x, c)| x * c).sum();
         Some(self.rows(Drift::Corrected, circuit).into_iter().map(value).collect())
+    }
+
+    /// The fit over the whole cycle, behind a circuit, with a leak in proportion to the pressure as a fifth coefficient:
+    /// the volume that it takes, per mL/s and cmH2O, is a column of its own. The mean leak is within the offset already.
+    pub fn leaking(&self, circuit: f64) -> Option<Solution<{ LEAK + 1 }>> {
+        let mean = self.pressure.iter().sum::<f64>() / self.pressure.len() as f64;
+        let mut escaped = 0.0;
+        let column = self.pressure.iter().map(|pressure| {
+            escaped += (pressure - mean) * self.period_s;
+            escaped
+        });
+        let rows = self.rows(Drift::Corrected, circuit).into_iter().zip(column);
+        let rows: Vec<_> = rows.map(|([a, b, c, d], escaped)| [a, b, c, d, escaped]).collect();
+        solve(&rows, &self.pressure)
+    }
+
+    /// The cycle with the flow of `rows` rows later beside each pressure (earlier if negative); without the rows at the
+    /// ends that then have no partner. `None` if none is left.
+    pub fn shifted(&self, rows: i32) -> Option<Self> {
+        let by = rows.unsigned_abs() as usize;
+        let length = self.flow.len().checked_sub(by).filter(|length| *length > 0)?;
+        let (flow_from, pressure_from) = if rows > 0 { (by, 0) } else { (0, by) };
+        Some(Self {
+            flow: self.flow[flow_from..][..length].to_vec(),
+            pressure: self.pressure[pressure_from..][..length].to_vec(),
+            slope: self.slope[pressure_from..][..length].to_vec(),
+            ..self.clone()
+        })
     }
 
     /// One row per sample: 1, volume since the start of the cycle (mL), flow, flow times its magnitude.

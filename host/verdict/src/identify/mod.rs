@@ -14,11 +14,15 @@
 //!   pressure. At a high resistance that is more than the lung gets, and the fit gives too small an R with a negative R2.
 //!   The compliance of the circuit is chosen for the smallest residual over all breaths of a lung ([`BehindCircuit`]).
 //!
+//! What the equation leaves out (a late flow, a leak, too few samples, an odd breath) no interval shows; the remarks of a
+//! lung name it.
+//!
 //! It is a strong baseline for a learned simulator: it uses the measured flow, which a simulator never sees.
 
 pub mod bench;
 pub mod cycle;
 pub mod open_loop;
+mod remarks;
 #[cfg(test)]
 mod tests;
 
@@ -33,8 +37,11 @@ use data::identity::TestRun;
 use data::recording::Recording;
 use engine::least_squares::{Solution, student};
 
-/// Length of a cycle as a share of its lung's longest, below which it counts as cut off by a gap.
+/// Length of a cycle as a share of its lung's usual one, below which it counts as cut off by a gap.
 const LEAST_CYCLE: f64 = 0.9;
+/// Distance of a breath's elastance from the median, in standard deviations of the other breaths and as a share, from
+/// which on the breath is odd and left out.
+const ODD: (f64, f64) = (5.0, 0.1);
 /// Compliances of the circuit that are tried, mL/cmH2O: their number and spacing.
 const CIRCUITS: (usize, f64) = (81, 0.05);
 
@@ -111,6 +118,8 @@ fn serialize_run<S: Serializer>(run: &Option<TestRun>, serializer: S) -> Result<
 pub struct LungCycles {
     /// The lung.
     pub id: LungId,
+    /// Number of breaths that are cut off, or that differ from all others.
+    pub left_out: usize,
     /// Rows and fitted form of each cycle.
     pub breaths: Vec<(Range<usize>, Cycle)>,
 }
@@ -121,10 +130,11 @@ pub struct Identified {
     /// The lung.
     #[serde(flatten)]
     pub id: LungId,
-    /// Number of fitted cycles.
+    /// Number of breaths from which the estimates come.
+    #[serde(rename = "breaths_used")]
     pub breaths: usize,
-    /// Number of whole cycles that could not be fitted.
-    pub refused: usize,
+    /// Number of breaths that are cut off, differ from all others, or cannot be fitted.
+    pub breaths_left_out: usize,
     /// Compliance of circuit and lung, mL/cmH2O.
     pub compliance: Estimate,
     /// R, cmH2O/(L/s).
@@ -139,6 +149,8 @@ pub struct Identified {
     pub uncorrected_compliance: Option<f64>,
     /// The lung without the circuit.
     pub behind_circuit: BehindCircuit,
+    /// Why the estimates deserve less trust than their intervals say; empty if they can be believed.
+    pub remarks: Vec<String>,
 }
 
 /// The lung with the circuit's share of the flow removed.
@@ -164,7 +176,7 @@ pub struct BehindCircuit {
 /// The recording has no flow, or none of its lungs has a cycle that can be fitted.
 pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError> {
     let lungs = lungs(recording)?;
-    let found: Vec<_> = lungs.iter().filter_map(LungCycles::identify).collect();
+    let found: Vec<_> = lungs.iter().filter_map(|lung| lung.identify(recording)).collect();
     if found.is_empty() {
         return Err(IdentifyError::NoBreath(lungs.iter().map(|lung| lung.breaths.len()).sum()));
     }
@@ -182,7 +194,10 @@ pub fn lungs(recording: &Recording) -> Result<Vec<LungCycles>, IdentifyError> {
     let mut lungs: Vec<LungCycles> = Vec::new();
     let breaths = recording.breaths();
     for part in breaths.chunk_by(|a, b| LungId::of(recording, a.start) == LungId::of(recording, b.start)) {
-        lungs.push(LungCycles { id: LungId::of(recording, part[0].start), breaths: cycles(recording, part) });
+        let cycles = cycles(recording, part);
+        let breaths = without_odd(&cycles);
+        let left_out = part.len() - 1 - breaths.len();
+        lungs.push(LungCycles { id: LungId::of(recording, part[0].start), left_out, breaths });
     }
     Ok(lungs)
 }
@@ -190,29 +205,48 @@ pub fn lungs(recording: &Recording) -> Result<Vec<LungCycles>, IdentifyError> {
 /// Whole cycles: an inspiration, no missing tick, as long as the others, and another breath after it.
 fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>, Cycle)> {
     let followed = &breaths[..breaths.len().saturating_sub(1)];
-    let longest = followed.iter().map(ExactSizeIterator::len).max().unwrap_or(0) as f64;
+    let usual = median(followed.iter().map(|rows| rows.len() as f64).collect());
     let cycle = |rows: &Range<usize>| {
         let inspiration = recording.inspiration(rows.clone())?.len();
         let whole = recording.tick[rows.end - 1] as usize + 1 == rows.len();
-        let long = rows.len() as f64 >= LEAST_CYCLE * longest;
+        let long = rows.len() as f64 >= LEAST_CYCLE * usual;
         (whole && long).then(|| Cycle::new(recording, rows, inspiration)).flatten()
     };
     followed.iter().filter_map(|rows| Some((rows.clone(), cycle(rows)?))).collect()
 }
 
+/// The cycles without those whose elastance is far from that of all others: a cough, a disconnection, a fault.
+fn without_odd(cycles: &[(Range<usize>, Cycle)]) -> Vec<(Range<usize>, Cycle)> {
+    let elastance = |cycle: &Cycle| Some(cycle.fit(FitSpan::Cycle, Drift::Corrected, 0.0)?.coefficients[1]);
+    let known: Vec<f64> = cycles.iter().filter_map(|(_, cycle)| elastance(cycle)).collect();
+    let middle = median(known.clone());
+    /// Ratio of standard deviation to median absolute deviation of a normal variable.
+    const NORMAL: f64 = 1.482_602;
+    let spread = NORMAL * median(known.iter().map(|value| (value - middle).abs()).collect());
+    let most = (ODD.0 * spread).max(ODD.1 * middle.abs());
+    let odd = |cycle: &Cycle| elastance(cycle).is_some_and(|value| (value - middle).abs() > most);
+    cycles.iter().filter(|(_, cycle)| !odd(cycle)).cloned().collect()
+}
+
+/// Median, 0 without values.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
 impl LungCycles {
     /// Identifies the lung; `None` if no cycle can be fitted.
-    pub fn identify(&self) -> Option<Identified> {
+    pub fn identify(&self, recording: &Recording) -> Option<Identified> {
         let corrected = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0);
         let raw = self.fits(FitSpan::Inspiration, Drift::Kept, 0.0);
         let circuit = self.circuit();
         let behind = self.fits(FitSpan::Cycle, Drift::Corrected, circuit);
         let offsets: Vec<f64> = self.breaths.iter().map(|(_, breath)| breath.offset).collect();
         let flow: f64 = self.breaths.iter().map(|(_, breath)| breath.inspiratory_flow()).sum();
-        Some(Identified {
+        let mut found = Identified {
             id: self.id.clone(),
             breaths: corrected.len(),
-            refused: self.breaths.len() - corrected.len(),
+            breaths_left_out: self.left_out + self.breaths.len() - corrected.len(),
             compliance: compliance(&corrected)?,
             resistance: coefficient(&corrected, 2)?,
             turbulence: coefficient(&corrected, 3)?,
@@ -227,7 +261,16 @@ impl LungCycles {
                 residual: residual(&behind),
                 inspiratory_flow: flow / self.breaths.len() as f64,
             },
-        })
+            remarks: Vec::new(),
+        };
+        found.remarks = remarks::remarks(self, &found, recording);
+        Some(found)
+    }
+
+    /// From the first to the last row of its cycles.
+    fn rows(&self) -> Range<usize> {
+        let (first, last) = (self.breaths.first(), self.breaths.last());
+        first.zip(last).map_or(0..0, |((first, _), (last, _))| first.start..last.end)
     }
 
     /// The fits of its cycles, without those with a negative compliance.
@@ -249,20 +292,20 @@ impl LungCycles {
     }
 }
 
-fn residual(fits: &[Solution<COEFFICIENTS>]) -> f64 {
+fn residual<const N: usize>(fits: &[Solution<N>]) -> f64 {
     let square: f64 = fits.iter().map(|fit| fit.residual.powi(2)).sum();
     (square / fits.len().max(1) as f64).sqrt()
 }
 
 /// The compliance from the mean elastance.
-fn compliance(fits: &[Solution<COEFFICIENTS>]) -> Option<Estimate> {
+fn compliance<const N: usize>(fits: &[Solution<N>]) -> Option<Estimate> {
     let elastance = coefficient(fits, 1)?;
     let positive = |elastance: f64| if elastance > 0.0 { 1.0 / elastance } else { f64::MAX };
     Some(Estimate { value: 1.0 / elastance.value, low: 1.0 / elastance.high, high: positive(elastance.low) })
 }
 
 /// Estimate of a coefficient over breaths; a single breath uses its own interval.
-fn coefficient(fits: &[Solution<COEFFICIENTS>], index: usize) -> Option<Estimate> {
+fn coefficient<const N: usize>(fits: &[Solution<N>], index: usize) -> Option<Estimate> {
     let values: Vec<f64> = fits.iter().map(|fit| fit.coefficients[index]).collect();
     estimate(&values, fits.first()?.half_widths[index])
 }

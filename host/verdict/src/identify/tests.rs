@@ -171,3 +171,80 @@ fn measured_lungs_have_their_nominal_compliance_once_the_drift_is_corrected() {
         assert!((lung.uncorrected_compliance.unwrap() / uncorrected - 1.0).abs() < 0.03, "{lung:?}");
     }
 }
+
+/// A recording whose flow arrives this many ticks late.
+fn with_late_flow(mut recording: Recording, ticks: usize) -> Recording {
+    for flow in [&mut recording.flow_in, &mut recording.flow_out].into_iter().flatten() {
+        flow.rotate_right(ticks);
+    }
+    recording
+}
+
+fn remarks(recording: &Recording) -> String {
+    identify(recording).unwrap().remove(0).remarks.join("\n")
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn a_sound_recording_has_no_remark_and_a_late_flow_that_matters_has(
+        resistance in 5.0..50.0, compliance in 10.0..50.0, offset in -0.03_f32..0.03, late in 15_usize..60
+    ) {
+        let sound = record(&lung(resistance, compliance), 4, 35.0, offset);
+        prop_assert_eq!(remarks(&sound), "");
+        let late_flow = with_late_flow(sound.clone(), late);
+        let [now, before] = [&late_flow, &sound].map(|recording| identify(recording).unwrap().remove(0));
+        let change = now.behind_circuit.compliance.value / before.behind_circuit.compliance.value - 1.0;
+        let text = now.remarks.join("\n");
+        prop_assert!(change.abs() < 0.12 || text.contains(" ms late"), "{} {} {} {} {:?}", resistance, compliance, late, text, now);
+    }
+
+    #[test]
+    fn a_leak_is_named_with_the_compliance_behind_it(
+        resistance in 5.0..40.0, compliance in 15.0..50.0, leak in 0.002_f32..0.01
+    ) {
+        let mut recording = record(&lung(resistance, compliance), 4, 35.0, 0.0);
+        let pressures = recording.pressure.clone();
+        // The flow sensors see what escapes at the mask; the lung does not.
+        let inflow = recording.flow_in.as_mut().unwrap();
+        inflow.iter_mut().zip(&pressures).for_each(|(flow, pressure)| *flow += leak * pressure.max(0.0));
+        let text = remarks(&recording);
+        let named = text.split("with it C is ").nth(1).and_then(|rest| rest.split(' ').next());
+        let named: f64 = named.unwrap_or_else(|| panic!("{text}")).parse().unwrap();
+        prop_assert!((named / compliance - 1.0).abs() < 0.1, "{} {} {} {}", resistance, compliance, leak, text);
+    }
+}
+
+#[test]
+fn a_sample_period_beside_a_short_time_constant_is_named() {
+    let fine = record(&lung(5.0, 10.0), 4, 35.0, 0.0);
+    let mut coarse =
+        Recording::with_extras(Provenance::new(40_000, "test"), &[Extra::FlowIn, Extra::FlowOut]);
+    for row in (0..fine.len()).step_by(40) {
+        coarse.push(Row { tick: fine.tick[row] / 40, ..fine.row(row).unwrap() });
+    }
+    assert!(remarks(&coarse).contains("the sample period of 40 ms is long"), "{}", remarks(&coarse));
+}
+
+#[test]
+fn a_breath_unlike_all_others_is_left_out_and_counted() {
+    let mut recording = record(&lung(20.0, 20.0), 8, 35.0, 0.0);
+    let rows = recording.breaths()[3].clone();
+    for flow in [&mut recording.flow_in, &mut recording.flow_out].into_iter().flatten() {
+        flow[rows.clone()].iter_mut().for_each(|flow| *flow *= 2.0);
+    }
+    let found = identify(&recording).unwrap().remove(0);
+    assert!((found.compliance.value / 21.5 - 1.0).abs() < 0.05, "{found:?}");
+    assert_eq!((found.breaths, found.breaths_left_out), (6, 1));
+    assert!(found.remarks.join("").contains("1 of 7 breaths left out"), "{:?}", found.remarks);
+}
+
+#[test]
+fn one_long_breath_is_not_the_measure_of_the_others() {
+    let mut recording = record(&lung(20.0, 20.0), 6, 35.0, 0.0);
+    // The third breath swallows the fourth.
+    recording.breath[24_000..32_000].iter_mut().for_each(|breath| *breath = 2);
+    recording.tick[24_000..32_000].iter_mut().for_each(|tick| *tick += 8_000);
+    assert!(identify(&recording).unwrap()[0].breaths >= 3);
+}

@@ -86,6 +86,17 @@ fn breaths_without_marks_are_found_by_the_flow_or_else_by_the_pressure() {
 }
 
 #[test]
+fn peep_is_where_the_pressure_rested_before_a_breath_however_late_its_start_is_found() {
+    for flows in [true, false] {
+        let (_, recording) = imported(&monitored(gauge, flows)).unwrap();
+        let breaths = recording.breaths();
+        for rows in &breaths[1..] {
+            assert!((recording.peep[rows.start] - 5.0).abs() < 0.1, "{}", recording.peep[rows.start]);
+        }
+    }
+}
+
+#[test]
 fn an_absolute_pressure_is_used_if_the_ambient_one_is_known() {
     let absolute = |ms, pressure| event('P', 'A', ms, 10.0 * (1_002.2 + pressure));
     let both = |ms, pressure| format!("{},{}", absolute(ms, pressure), event('P', 'B', ms, 10_022.0));
