@@ -75,6 +75,12 @@ def onnx(path):
     inputs = session.get_inputs()
     shapes = [[size if isinstance(size, int) else 1 for size in given.shape] for given in inputs]
     period_us = int(session.get_modelmeta().custom_metadata_map.get("period_us", 0))
+    kinds = [given.type for given in inputs]
+    if any(kind != "tensor(float)" for kind in kinds) or shapes[0][-1] not in (6, 8):
+        raise SystemExit(
+            f"{path}: inputs are {list(zip(kinds, shapes))}, but the policy link gives float32 of shape [1, 6], "
+            "or [1, 8] to a network that learns from breath to breath: export the network so"
+        )
     names = [given.name for given in inputs]
     return Network(lambda values: session.run(None, dict(zip(names, values))), shapes, period_us)
 

@@ -11,7 +11,7 @@ use super::qemu::{IMAGES, board};
 use crate::args::bench::BenchArgs;
 use crate::command::bounds::within;
 use crate::command::{Command, Context, Makes, Output, OutputArgs};
-use learn::controller::TrainConfig;
+use learn::controller::{EFFORT_PRICE, TrainConfig};
 use learn::pipeline::PipelineConfig;
 use plant::prescriptions::Prescriptions;
 use score::baselines::Search;
@@ -78,6 +78,7 @@ impl Command for Args {
         if self.breathing {
             pipeline.train = TrainConfig::breathing();
         }
+        pipeline.train.effort_price = EFFORT_PRICE;
         pipeline.prescribe(&Prescriptions::find(&self.prescriptions)?);
         let config = DemoConfig {
             bench: self.bench.one()?,

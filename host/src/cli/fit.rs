@@ -131,8 +131,9 @@ impl Command for Args {
         if summary.stopped {
             context.line(&format!("stopped after {} epochs", summary.epochs));
         }
-        if let Some(path) = &self.out {
-            context.saved(path);
+        match &self.out {
+            Some(path) => context.saved(path),
+            None => context.line("the simulator is not kept: --out FILE.safetensors keeps it"),
         }
         context
             .report(self.report.as_deref(), || Ok(report::report(&summary, &fitted, &parts, &recording)))?;

@@ -205,22 +205,37 @@ fn recording(recording: &Recording) -> Facts {
 fn table(file: &Path, facts: &Facts) -> Table {
     let mut table = Table::new("", &[&file.display().to_string(), ""]);
     for (name, value) in facts {
-        match value {
-            Value::Object(fields) => {
-                fields.iter().for_each(|(field, value)| table.row(row(&format!("{name}: {field}"), value)));
-            }
-            value => table.row(row(name, value)),
-        }
+        rows(name, value, &mut table);
     }
     table
 }
 
-fn row(name: &str, value: &Value) -> Vec<Cell> {
-    let text = match value {
+/// A row for each value: fields of an object have rows of their own.
+fn rows(name: &str, value: &Value, table: &mut Table) {
+    match value {
+        Value::Object(fields) => {
+            fields.iter().for_each(|(field, value)| rows(&format!("{name}: {field}"), value, table));
+        }
+        value => table.row(vec![Cell::text(name), Cell::text(text(value))]),
+    }
+}
+
+/// A value as a reader expects it: no quotes and brackets, and numbers with the digits that were stored.
+fn text(value: &Value) -> String {
+    match value {
+        Value::Null => "none".to_owned(),
         Value::String(text) => text.trim_end().to_owned(),
+        Value::Array(values) if values.is_empty() => "none".to_owned(),
+        Value::Array(values) => values.iter().map(text).collect::<Vec<_>>().join(", "),
+        Value::Number(number) => match number.as_f64() {
+            // Of single precision, in which most values are stored: its own digits, not those of the wider number.
+            Some(wide) if number.is_f64() && f64::from(wide as f32).total_cmp(&wide).is_eq() => {
+                (wide as f32).to_string()
+            }
+            _ => number.to_string(),
+        },
         other => other.to_string(),
-    };
-    vec![Cell::text(name), Cell::text(text)]
+    }
 }
 
 /// A fixed-length field of the image as text.
@@ -241,11 +256,11 @@ mod tests {
 
     #[test]
     fn nested_facts_have_a_row_each() {
-        let facts = vec![("features", json!({ "taps": [0, 1], "times": 3 })), ("plant", json!("a\nb\n"))];
+        let features = json!({ "taps": [0, 1], "times": { "first": 3 } });
+        let facts = vec![("features", features), ("plant", json!("a\nb\n")), ("gain", json!(0.1_f32))];
         let text = table(Path::new("file"), &facts).to_plain();
-        assert!(
-            text.contains("features: taps") && text.contains("[0,1]") && text.contains("features: times"),
-            "{text}"
-        );
+        for part in ["features: taps ", " 0, 1\n", "features: times: first ", " 3\n", " 0.1"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
     }
 }

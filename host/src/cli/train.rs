@@ -23,7 +23,9 @@ use crate::command::{Command, Context, Makes, Output, OutputArgs, write};
 use data::workspace::Workspace;
 use learn::controller::authors::{AuthorsController, ERROR_SPACING_MAX_US};
 use learn::controller::learned::Learned;
-use learn::controller::{ControllerArchitecture, CurvePoint, TrainConfig, Trainable, Weighting};
+use learn::controller::{
+    ControllerArchitecture, CurvePoint, EFFORT_PRICE, TrainConfig, Trainable, Weighting,
+};
 use learn::pipeline::commission::BREATHS_NEEDED;
 use learn::pipeline::{
     Outcome, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches,
@@ -340,6 +342,8 @@ impl Args {
             rest: settings.expiratory_bias,
             inspiratory_time: settings.inspiratory_time,
             overshoot_weight: self.overshoot_weight,
+            // The paper prices the distance alone.
+            effort_price: if self.preset.is_some() { 0.0 } else { EFFORT_PRICE },
             weighting: self.softmax.map_or(Weighting::Sum, Weighting::Softmax),
             ..config.train
         };
@@ -463,6 +467,7 @@ mod tests {
     fn the_default_is_the_pipelines_with_the_known_good_gains() {
         let config = config(&[]).unwrap();
         let mut expected = PipelineConfig::default();
+        expected.train.effort_price = EFFORT_PRICE;
         expected.prescribe(&Prescriptions::find("bedside").unwrap());
         assert_eq!(config, expected);
         assert_eq!(gains("3,30,0"), Ok(config.gains));
@@ -483,9 +488,19 @@ mod tests {
     }
 
     #[test]
+    fn moving_the_valve_has_a_price_except_in_the_settings_of_the_paper() {
+        let price = |arguments: &[&str]| config(arguments).unwrap().train.effort_price;
+        for priced in [&[][..], &["--breathing"], &["--pips", "20"]] {
+            assert_eq!(price(priced).to_bits(), EFFORT_PRICE.to_bits(), "{priced:?}");
+        }
+        assert_eq!(price(&["--preset", "paper-30ms"]).to_bits(), 0.0_f32.to_bits());
+    }
+
+    #[test]
     fn breathing_patients_train_longer_unless_the_steps_are_typed() {
         let train = |arguments: &[&str]| config(arguments).unwrap().train;
-        assert_eq!(train(&["--breathing", "--prescriptions", "paper"]), TrainConfig::breathing());
+        let breathing = TrainConfig { effort_price: EFFORT_PRICE, ..TrainConfig::breathing() };
+        assert_eq!(train(&["--breathing", "--prescriptions", "paper"]), breathing);
         assert_eq!((train(&["--breathing"]).iterations, train(&[]).efforts), (1200, None));
         let typed = train(&["--breathing", "--iterations", "9", "--settings", "peep=7"]);
         assert_eq!((typed.iterations, typed.peep.to_bits()), (9, 7.0_f32.to_bits()));

@@ -72,7 +72,8 @@ impl Bars {
 }
 
 fn bar(name: &str) -> ProgressBar {
-    let style = ProgressStyle::with_template("{msg:<28} {bar:40} {pos:>6}/{len} {elapsed:>4} left {eta}");
+    let style =
+        ProgressStyle::with_template("{msg:<28} {wide_bar} {pos}/{len}, {elapsed} so far, {eta} left");
     let bar = ProgressBar::new(0).with_message(name.to_owned());
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     bar.enable_steady_tick(Duration::from_millis(250));

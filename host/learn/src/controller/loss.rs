@@ -124,6 +124,36 @@ mod tests {
     }
 
     #[test]
+    fn the_price_of_moving_the_valve_agrees_with_finite_differences() {
+        const TICKS: usize = 6;
+        let settled = std::array::from_fn(|l| 1 + l % 4);
+        let scenario = Scenario { settled, effort_price: 0.02, ..Scenario::plain(TICKS, Lane::splat(20.0)) };
+        let commands: Vec<Lane> = (0..TICKS)
+            .map(|tick| Lane::from_fn(|l| 20.0 + ((7 * tick * tick + 3 * l) % 11) as f32 * 0.1))
+            .collect();
+        let price = |commands: &[Lane], l: usize| {
+            let steps = settled[l]..TICKS - 1;
+            let value: f64 = steps
+                .map(|t| f64::from(huber::value(commands[t + 1][l] - commands[t][l], EFFORT_ROUNDING)))
+                .sum();
+            0.02 * value / (TICKS - settled[l]) as f64
+        };
+        let step = 0.01;
+        for tick in 0..TICKS {
+            let slope = effort_slope(&scenario, &commands, tick);
+            for l in 0..engine::LANES {
+                let at = |step: f32| {
+                    let mut moved = commands.clone();
+                    moved[tick][l] += step;
+                    price(&moved, l)
+                };
+                let numeric = (at(step) - at(-step)) / f64::from(2.0 * step);
+                assert!((numeric - f64::from(slope[l])).abs() < 2e-4, "tick {tick}, rollout {l}: {numeric}");
+            }
+        }
+    }
+
+    #[test]
     fn the_slope_agrees_with_finite_differences_and_overshoot_weighs_more() {
         let scenario = Scenario {
             weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),

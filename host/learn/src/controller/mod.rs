@@ -33,7 +33,7 @@ mod tapes;
 mod training;
 
 pub use architecture::{ControllerArchitecture, Trainable};
-pub use config::{FamilyConfig, Told, TrainConfig, Weighting};
+pub use config::{EFFORT_PRICE, FamilyConfig, Told, TrainConfig, Weighting};
 pub use efforts::EffortConfig;
 pub use family::{FamilyModels, FamilyTraining};
 pub use training::{Checkpoint, CurvePoint, PlantModels, Stepwise, Trained, Training};

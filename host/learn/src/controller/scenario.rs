@@ -171,7 +171,7 @@ impl Scenario {
             },
             rest: of(|s| s.expiratory_bias),
             memory: None,
-            effort_price: 0.0,
+            effort_price: config.effort_price,
             restraint_price: 0.0,
             noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(noise))).collect(),
             pull: Vec::new(),

@@ -8,6 +8,7 @@ mod markdown;
 mod plot;
 mod svg;
 mod table;
+mod terminal;
 #[cfg(test)]
 mod tests;
 mod text;

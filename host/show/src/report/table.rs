@@ -1,13 +1,6 @@
 //! Tables for the terminal, HTML and Markdown from one description.
 
-use std::io::IsTerminal;
-
-use comfy_table::{Attribute, CellAlignment, LineStyle, TableStyle};
-
 use super::text::escape;
-
-/// A single rule below the header.
-const RULED: TableStyle = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
 
 /// One cell.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -27,6 +20,10 @@ impl Cell {
     pub(super) fn to_markdown(&self) -> String {
         let text = self.text.replace('|', "\\|");
         if self.best { format!("**{text}**") } else { text }
+    }
+
+    pub(super) fn is_best(&self) -> bool {
+        self.best
     }
 
     /// A right-aligned number with `decimals` decimals. NaN shows as `NaN`.
@@ -92,44 +89,8 @@ impl Table {
         self.rows.push(cells);
     }
 
-    /// Text for standard output: uses bold only on a terminal and if `NO_COLOR` is not set.
-    pub fn to_terminal(&self) -> String {
-        let wanted = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
-        self.render(wanted && std::io::stdout().is_terminal())
-    }
-
-    /// Text without escape sequences, the same everywhere.
-    pub fn to_plain(&self) -> String {
-        self.render(false)
-    }
-
-    pub(super) fn render(&self, styled: bool) -> String {
-        let mut table = comfy_table::Table::new();
-        table.load_style(RULED).force_no_tty();
-        if styled {
-            table.enforce_styling();
-        }
-        let align = |index| {
-            if self.is_numeric(index) { CellAlignment::Right } else { CellAlignment::Left }
-        };
-        table.set_header(
-            (0..self.columns())
-                .map(|index| comfy_table::Cell::new(self.head(index)).set_alignment(align(index))),
-        );
-        for row in &self.rows {
-            table.add_row((0..self.columns()).map(|index| {
-                let cell = row.get(index).cloned().unwrap_or_default();
-                let drawn = comfy_table::Cell::new(self.starred(index, &cell)).set_alignment(align(index));
-                if styled && cell.best { drawn.add_attribute(Attribute::Bold) } else { drawn }
-            }));
-        }
-        let body: Vec<_> = table.lines().map(|line| line.trim_end().to_owned()).collect();
-        let title = if self.title.is_empty() { String::new() } else { format!("{}\n", self.title) };
-        format!("{title}{}", body.join("\n"))
-    }
-
     /// The text of a cell; right-aligned columns with a star get a blank in its place elsewhere, so that digits align.
-    fn starred(&self, index: usize, cell: &Cell) -> String {
+    pub(super) fn starred(&self, index: usize, cell: &Cell) -> String {
         let stars = self.rows.iter().any(|row| row.get(index).is_some_and(|cell| cell.best));
         match (cell.best, stars && self.is_numeric(index)) {
             (true, _) => format!("{}*", cell.text),
@@ -139,12 +100,19 @@ impl Table {
     }
 
     /// Number of columns of the longest row.
-    fn columns(&self) -> usize {
+    pub(super) fn columns(&self) -> usize {
         self.rows.iter().map(Vec::len).chain([self.header.len()]).max().unwrap_or(0)
     }
 
-    fn head(&self, index: usize) -> &str {
+    pub(super) fn head(&self, index: usize) -> &str {
         self.header.get(index).map_or("", String::as_str)
+    }
+
+    /// Characters of a column's longest cell.
+    pub(super) fn widest(&self, index: usize) -> usize {
+        let cells = self.rows.iter().filter_map(|row| row.get(index));
+        let lengths = |cell| self.starred(index, cell).lines().map(|line| line.chars().count()).max();
+        cells.filter_map(lengths).max().unwrap_or(0)
     }
 
     pub(super) fn is_numeric(&self, index: usize) -> bool {

@@ -65,7 +65,7 @@ fn a_table_in_the_terminal() {
 #[test]
 fn bold_marks_appear_only_where_styles_are_wanted() {
     assert!(!table().to_plain().contains('\u{1b}'));
-    assert!(table().render(true).contains("\u{1b}[1m"));
+    assert!(table().render(true, 80).contains("\u{1b}[1m"));
 }
 
 #[test]

@@ -86,7 +86,7 @@ impl Slurm {
             Submitted { array: None, merge: answer("sbatch", &["--parsable", &merge], HINT)? }
         } else {
             let array = text(&job.write("array.sh", &self.array_script(job, &open))?);
-            let array = answer("sbatch", &["--parsable", &array], HINT)?;
+            let array = answer("sbatch", &["--parsable", &array], HINT).map_err(too_many)?;
             // After any end: a task that has saved its shard may still end badly, and the merge names what is missing.
             let dependency = format!("--dependency=afterany:{array}");
             let merge = answer("sbatch", &["--parsable", &dependency, &merge], HINT);
@@ -128,6 +128,17 @@ impl Slurm {
                 _ => left -= 1,
             }
         }
+    }
+}
+
+/// The refusal of an array with advice where its size may be the reason: Slurm only calls it invalid.
+fn too_many(error: SubmitError) -> SubmitError {
+    match error {
+        SubmitError::Refused { program, message } if message.to_lowercase().contains("array") => {
+            let advice = "use fewer --shards than `scontrol show config | grep MaxArraySize` says";
+            SubmitError::Refused { program, message: format!("{message}; {advice}") }
+        }
+        other => other,
     }
 }
 
@@ -192,6 +203,15 @@ mod tests {
         assert_eq!(ranges(&(0..40).collect::<Vec<_>>()), "0-39");
         assert_eq!(ranges(&[3, 17, 18, 19, 30]), "3,17-19,30");
         assert_eq!(ranges(&[5]), "5");
+    }
+
+    #[test]
+    fn an_array_that_slurm_calls_invalid_is_told_its_limit() {
+        let refused = |message: &str| SubmitError::Refused { program: "sbatch", message: message.to_owned() };
+        let told = |message| too_many(refused(message)).to_string();
+        let array = told("sbatch: error: Batch job submission failed: Invalid job array specification");
+        assert!(array.contains("MaxArraySize") && array.contains("--shards"), "{array}");
+        assert!(!told("sbatch: error: invalid partition specified: night").contains("MaxArraySize"));
     }
 
     #[test]

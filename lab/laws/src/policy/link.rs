@@ -13,6 +13,14 @@ use thiserror::Error;
 use super::account::{Account, Event};
 use super::frame::{FRAME_BYTES, PolicyFrame, PolicyMessage, VERSION};
 
+/// What to do about a frame that was not answered.
+fn advice(error: &LineError) -> &'static str {
+    match error {
+        LineError::Gone { .. } => "see what it printed before it ended",
+        _ => "it must answer each frame with one, and if it is only slow, raise --policy-timeout",
+    }
+}
+
 /// Why a policy cannot be used, or can no longer be used.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PolicyError {
@@ -20,9 +28,7 @@ pub enum PolicyError {
     #[error("{0}")]
     Open(LineError),
     /// A frame was not answered.
-    #[error(
-        "it did not answer {question}: {error}; it must answer each frame with one, and if it is only slow, raise --policy-timeout"
-    )]
+    #[error("it did not answer {question}: {error}; {}", advice(error))]
     Line {
         /// The frame.
         question: &'static str,
