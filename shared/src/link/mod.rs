@@ -1,4 +1,4 @@
-//! The link between host and device.
+//! The link between host and device. `docs/DEVICE_LINK.md` describes it byte by byte for other languages.
 //!
 //! A message is an enum ([`messages`]) in postcard's encoding, followed by the CRC-32 of those bytes (little
 //! endian), framed with COBS between two zero bytes ([`frame`]). The leading zero byte ends any line noise before the

@@ -21,6 +21,7 @@ use crate::weights::ImageProblem;
 use crate::weights::slots::{Slot, SlotState};
 
 mod drawn;
+mod page;
 
 #[test]
 fn no_response_is_longer_than_a_page_of_the_recorder_needs() {
@@ -99,9 +100,9 @@ fn through<M: Serialize>(message: &M) -> StdVec<u8> {
     content.unwrap()
 }
 
-#[test]
-fn the_bytes_of_every_request_are_pinned() {
-    let requests = [
+/// Every request and, after the sequence number 300, its bytes.
+fn requests() -> StdVec<(Request, &'static str)> {
+    vec![
         (Request::Identify, "ac0200"),
         (Request::GetSettings, "ac0201"),
         (
@@ -156,8 +157,12 @@ fn the_bytes_of_every_request_are_pinned() {
             "ac021b0000003f6666863f000040410000c8410000803e0000403f0000a03f0000e03f80a4a7da06",
         ),
         (Request::GetCalibration { back: 300 }, "ac021cac02"),
-    ];
-    for (request, expected) in requests {
+    ]
+}
+
+#[test]
+fn the_bytes_of_every_request_are_pinned() {
+    for (request, expected) in requests() {
         let message = ToDevice { sequence: 300, request, host: None };
         assert_eq!(hex(&message), expected, "{message:?}");
         let message = ToDevice { host: Some(300), ..message };
@@ -165,8 +170,8 @@ fn the_bytes_of_every_request_are_pinned() {
     }
 }
 
-#[test]
-fn the_bytes_of_every_response_are_pinned() {
+/// Every response except [`Response::Refused`], and its bytes with the sequence number 5.
+fn responses() -> StdVec<(Response, &'static str)> {
     let identity = DeviceIdentity {
         protocol: PROTOCOL,
         firmware: [0, 1, 200],
@@ -182,7 +187,7 @@ fn the_bytes_of_every_response_are_pinned() {
         weights_key: Some(KeyId([9, 8, 7, 6, 5, 4, 3, 2])),
     };
     let in_force = Settings::default();
-    let responses = [
+    vec![
         (
             Response::Identity(identity),
             "000500040001c80101e807020201000301070101000301026e6f010908070605040302",
@@ -230,8 +235,12 @@ fn the_bytes_of_every_response_are_pinned() {
             "000512ac02010000003f6666863f000040410000c8410000803e0000403f0000a03f0000e03f80a4a7da06",
         ),
         (Response::Calibration { stored: 0, calibration: None }, "0005120000"),
-    ];
-    for (response, expected) in responses {
+    ]
+}
+
+#[test]
+fn the_bytes_of_every_response_are_pinned() {
+    for (response, expected) in responses() {
         let message = ToHost::Response { sequence: 5, response };
         assert_eq!(hex(&message), expected, "{message:?}");
     }
@@ -311,8 +320,8 @@ fn the_bytes_of_every_refusal_are_pinned() {
     }
 }
 
-#[test]
-fn the_bytes_of_every_event_are_pinned() {
+/// Every event and its bytes.
+fn events() -> StdVec<(Event, &'static str)> {
     let counters =
         Counters { dropped: 1, corrupt_frames: 2, missed_ticks: 3, worst_tick_us: 400, mean_tick_us: 55.5 };
     let samples = [
@@ -330,7 +339,7 @@ fn the_bytes_of_every_event_are_pinned() {
             adopted,
         })
     };
-    let events = [
+    vec![
         (
             batch(2, 1000, counters, &samples),
             "010002e807010203900300005e420201bc0501010000a04100009c410000f04100000001bd0501010000a04100009c410000f0410100000080010000c03f01000080be",
@@ -342,8 +351,12 @@ fn the_bytes_of_every_event_are_pinned() {
         (Event::Alarm { fault: Fault::ReadingOutOfRange, tick: 1 }, "01020101"),
         (Event::Alarm { fault: Fault::HighPressure, tick: 1 }, "01020201"),
         (Event::Unacknowledged { fault: Fault::HighPressure, tick: 1 }, "01030201"),
-    ];
-    for (event, expected) in events {
+    ]
+}
+
+#[test]
+fn the_bytes_of_every_event_are_pinned() {
+    for (event, expected) in events() {
         assert_eq!(hex(&ToHost::Event(event.clone())), expected, "{event:?}");
     }
 }
