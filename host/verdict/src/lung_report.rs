@@ -87,15 +87,14 @@ pub struct LungReport {
 
 /// One report for each lung and pair of settings, in the order of the recording.
 pub(super) fn lung_reports(breaths: &[Breath], unjudged: &[Unjudged]) -> Vec<LungReport> {
-    let key = |breath: &Breath| (breath.lung_index, breath.pip.to_bits(), breath.peep.to_bits());
+    let key = |breath: &Breath| (breath.lung_index, rounded(breath.pip), rounded(breath.peep));
     let mut sorted: Vec<&Breath> = breaths.iter().collect();
-    sorted
-        .sort_by_key(|breath| (breath.lung_index, order(breath.pip), order(breath.peep), breath.rows.start));
+    sorted.sort_by_key(|breath| (key(breath), breath.rows.start));
     sorted.chunk_by(|a, b| key(a) == key(b)).map(|chunk| report(chunk, unjudged)).collect()
 }
 
-/// A pressure as a number that sorts alike.
-fn order(pressure: f64) -> i64 {
+/// A pressure as a number of 0.001 cmH2O: settings that differ by less are the same, as in the test table.
+fn rounded(pressure: f64) -> i64 {
     (1e3 * pressure).round() as i64
 }
 

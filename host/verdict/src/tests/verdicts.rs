@@ -63,6 +63,17 @@ fn settings_of_one_lung_are_reported_apart_in_the_order_of_pip() {
     assert_eq!(lungs.iter().map(|lung| (lung.pip, lung.breaths)).collect::<Vec<_>>(), [(15.0, 2), (25.0, 2)]);
 }
 
+/// As when a set-point is converted from another unit, or drawn from a very narrow range.
+#[test]
+fn settings_that_differ_by_rounding_only_are_one() {
+    let edit = |_: f64, row: &mut Row| {
+        row.pip += [0.0, 2e-6, -2e-6][row.breath as usize % 3];
+        true
+    };
+    let lungs = Build { breaths: 6, edit: &edit, ..Build::default() }.verdict().lungs;
+    assert_eq!(lungs.iter().map(|lung| lung.breaths).collect::<Vec<_>>(), [6]);
+}
+
 #[test]
 fn the_accuracy_covers_both_ends() {
     let verdict = judge(&two_runs(1.5), Judged::True, &Limits::default()).unwrap();
