@@ -158,8 +158,8 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
         period_us: Control period in microseconds.
         hold: Control ticks for which an action is held; the remaining ones of an inspiration if these are fewer.
         breaths: Breaths of an episode.
-        observation: `"ours"` (25 features), `"authors"` (10 averages of past errors) or `"plain"` (pressure, target, PIP, PEEP, time,
-            last command).
+        observation: `"ours"` (25 features), `"authors"` (10 averages of past errors) or `"plain"` (pressure, target, PIP, PEEP,
+            last command, time).
         action: `"valve"` or `"residual"`.
         gains: P, I and D of the PID under a residual; default: the one that the chip falls back to.
         authority: Correction at an action of 1, percent of the valve; default: 100.

@@ -26,7 +26,7 @@ pub enum ObservationKind {
     Ours,
     /// The ten inputs of the paper authors' network: running averages of the last ten errors, 10 ms apart, in units of 10 cmH2O.
     Authors,
-    /// Measured pressure, target, PIP and PEEP in cmH2O, time since the breath started in s, last command in percent.
+    /// Measured pressure, target, PIP and PEEP in cmH2O, last command in percent, time since the breath started in s.
     Plain,
 }
 
