@@ -50,7 +50,8 @@ for name, scores in result["mean"].items():
 breath = {"bench": "R20C20", "breaths": 1, "pips": 25, "exploration": "none", "seed": 7}
 curves = eupnea.collect(gains=gains, **breath).pandas()[["tick", "target", "pressure_true"]].set_axis(["tick", "target", "PID"], axis=1)
 curves["learned"] = eupnea.collect(controller=trained["controller"], **breath)["pressure_true"]
-curves[:500].plot("tick", xlabel="time, ms", ylabel="airway pressure, cmH2O", figsize=(7, 3))
+colours = {"target": "#3F4B57", "PID": "#0072B2", "learned": "#D55E00"}  # those of the reports
+curves[:500].plot("tick", color=colours, xlabel="time, ms", ylabel="airway pressure, cmH2O", figsize=(7, 3))
 
 # %%
 assert result["mean"]["learned"]["score"] < result["mean"]["pid"]["score"], "the learned controller is better"

@@ -22,13 +22,11 @@ use margins::{MeasuredPoint, Overall, PlantMargins, Question, measure};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use plant::prescriptions::{NAMES, Prescriptions};
-use show::report::{Cell, Plot, Series, Style, Table};
+use show::report::{Cell, Plot, Role, Series, Style, Table};
 use trials::accuracy::{Declared, Setup, declared};
 
 /// Curves that a figure shows at most: those of the plants with the worst margins.
 const CURVES: usize = 6;
-/// Colour of a curve that is one of many.
-const FAINT: (u8, u8, u8) = (200, 200, 200);
 /// Points of a circle in a figure.
 const CIRCLE: usize = 180;
 
@@ -402,7 +400,7 @@ fn nyquist(plants: &[PlantMargins]) -> Plot {
     let mut series = vec![
         circle("abs(L) = 1", 0.0, 1.0),
         Series {
-            color: Some((150, 30, 30)),
+            role: Some(Role::Limit),
             ..circle(
                 &format!("Ms = {}", RequiredMargins::default().ms),
                 -1.0,
@@ -428,7 +426,7 @@ fn contraction(certificate: &Certificate) -> Plot {
     let curve = |plant: &Certified| {
         let points = plant.curve.iter().map(|at| (at.hz, at.factor)).collect();
         let name = if several { "" } else { plant.plant.as_str() };
-        Series { color: several.then_some(FAINT), ..Series::new(name, Style::Line, points) }
+        Series { role: several.then_some(Role::Background), ..Series::new(name, Style::Line, points) }
     };
     let mut series: Vec<Series> = certificate.plants.iter().map(curve).collect();
     if several {

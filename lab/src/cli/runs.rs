@@ -12,7 +12,7 @@ use experiments::runs::{
     sort,
 };
 use host::command::{Command, Context, OutFile, Output, OutputArgs, write};
-use show::report::{Block, Cell, Plot, Report, Section, Table};
+use show::report::{Block, Cell, Plot, Report, Section, Table, duration};
 
 /// List, compare and plot runs by the records they leave
 #[derive(Debug, clap::Args)]
@@ -155,7 +155,8 @@ impl Args {
     }
 
     fn report(&self, runs: &[Run], tables: Vec<Table>) -> anyhow::Result<Report> {
-        let mut sections = vec![Section::new("Runs", "", tables.into_iter().map(Block::Table).collect())];
+        let heading = if self.compare.is_empty() { "List" } else { "Differences" };
+        let mut sections = vec![Section::new(heading, "", tables.into_iter().map(Block::Table).collect())];
         let plots = match plots(runs, &self.figure, self.x.as_deref()) {
             // The list alone is a report too.
             Err(RunsError::NothingToPlot { .. }) => Vec::new(),
@@ -164,8 +165,8 @@ impl Args {
         if !plots.is_empty() {
             sections.push(Section::new("Figures", "", plots.into_iter().map(Block::Plot).collect()));
         }
-        let subtitle = format!("{} in {}", runs.len(), self.dir.display());
-        Ok(Report { title: "Runs".into(), subtitle, sections, provenance: None })
+        let title = format!("Runs in {}", self.dir.display());
+        Ok(Report { title, sections, ..Report::default() })
     }
 }
 
@@ -181,7 +182,7 @@ fn list(runs: &[Run], figures: &[String]) -> Table {
     let figures: Vec<&str> =
         figures.iter().map(String::as_str).filter(|name| has_figure(runs, name)).collect();
     let header: Vec<&str> = header.into_iter().chain(figures.iter().copied()).collect();
-    let mut table = Table::new("Runs", &header);
+    let mut table = Table::new("", &header);
     for (n, run) in runs.iter().enumerate() {
         let mut row = vec![
             Cell::count(n + 1),
@@ -249,25 +250,5 @@ fn number(value: Option<f64>) -> Cell {
         Some(value) if value.fract() == 0.0 && value.abs() < 1e15 => Cell::number(value, 0),
         Some(value) if value.abs() < 1e-3 => Cell::right(format!("{value:.3e}")),
         Some(value) => Cell::number(value, 4),
-    }
-}
-
-/// A time in the largest units, as in 1 h 05 min.
-fn duration(seconds: f64) -> String {
-    let whole = seconds.round() as u64;
-    match (whole / 3600, whole / 60 % 60) {
-        (0, 0) => format!("{seconds:.1} s"),
-        (0, minutes) => format!("{minutes} min {:02} s", whole % 60),
-        (hours, minutes) => format!("{hours} h {minutes:02} min"),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn times_are_shown_in_two_units() {
-        assert_eq!([2.34, 65.0, 3_900.0].map(duration), ["2.3 s", "1 min 05 s", "1 h 05 min"]);
     }
 }

@@ -18,9 +18,9 @@ const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
 const CHARTS: [string, [Trended, string, string][]][] = [
   ["cmH2O", [["pip", "PIP", "--pressure"], ["plateau", "Plateau", "--target"], ["peep", "PEEP", "--flow"]]],
   ["mL", [["tidal_volume", "Tidal volume", "--volume"]]],
-  ["1/min, L/min", [["rate", "Rate", "--valve"], ["minute_volume", "Minute volume", "--volume"]]],
+  ["1/min, L/min", [["rate", "Rate", "--flow"], ["minute_volume", "Minute volume", "--volume"]]],
   ["lung", [["resistance", "Resistance", "--valve"], ["compliance", "Compliance", "--flow"]]],
-  ["cmH2O", [["error", "Error", "--learned"], ["overshoot", "Overshoot", "--pressure"]]],
+  ["cmH2O", [["error", "Error", "--volume"], ["overshoot", "Overshoot", "--pressure"]]],
 ];
 
 export class TrendCharts {

@@ -6,11 +6,6 @@ use super::{events, story, summary};
 use crate::report::{Block, Plot, Report, Section, Series, Style};
 use device::blackbox::{Blackbox, RecordedTicks};
 
-const PRESSURE: (u8, u8, u8) = (0, 114, 178);
-const TARGET: (u8, u8, u8) = (34, 34, 34);
-const VALVE: (u8, u8, u8) = (213, 94, 0);
-const END: (u8, u8, u8) = (204, 121, 167);
-
 /// A page with plots, summary and the whole log; `device` identifies the device.
 pub fn report(blackbox: &Blackbox, device: &str) -> Report {
     let mut sections = vec![Section {
@@ -35,9 +30,9 @@ pub fn report(blackbox: &Blackbox, device: &str) -> Report {
 
 /// Both plots of a trace; `None` for an empty one.
 fn section(heading: &str, trace: &RecordedTicks) -> Option<Section> {
-    let pressure = curves(trace, "pressure", Style::Line, PRESSURE, |tick| Some(tick.pressure));
-    let target = curves(trace, "target", Style::Dashed, TARGET, |tick| tick.target);
-    let valve = curves(trace, "inspiratory valve", Style::Step, VALVE, |tick| Some(tick.u_in));
+    let pressure = curves(trace, "pressure", Style::Line, |tick| Some(tick.pressure));
+    let target = curves(trace, "target", Style::Dashed, |tick| tick.target);
+    let valve = curves(trace, "inspiratory valve", Style::Step, |tick| Some(tick.u_in));
     let plots: Vec<Block> =
         [("Airway pressure", "cmH2O", [pressure, target].concat()), ("Inspiratory valve", "%", valve)]
             .into_iter()
@@ -62,7 +57,6 @@ fn curves(
     trace: &RecordedTicks,
     name: &str,
     style: Style,
-    color: (u8, u8, u8),
     value: impl Fn(&TickEntry) -> Option<f32>,
 ) -> Vec<Series> {
     let mut pieces: Vec<Vec<(f64, f64)>> = vec![Vec::new()];
@@ -76,8 +70,8 @@ fn curves(
     }
     let drawn = pieces.into_iter().filter(|piece| !piece.is_empty());
     let named = |(index, points): (usize, Vec<(f64, f64)>)| {
-        let name = if index == 0 { name } else { "" };
-        Series { name: name.to_owned(), points, style, color: Some(color) }
+        let whole = Series::new(name, style, points);
+        if index == 0 { whole } else { Series { name: String::new(), ..whole } }
     };
     drawn.enumerate().map(named).collect()
 }
@@ -92,6 +86,5 @@ fn end(trace: &RecordedTicks, others: &[Series]) -> Option<Series> {
     let (lowest, highest) = (values().reduce(f64::min)?, values().reduce(f64::max)?);
     let (time, after) = ended[1];
     let name = if after.activity == Activity::Fault { "fault" } else { "stop" };
-    let points = vec![(time, lowest), (time, highest)];
-    Some(Series { name: name.to_owned(), points, style: Style::Dashed, color: Some(END) })
+    Some(Series::new(name, Style::Dashed, vec![(time, lowest), (time, highest)]))
 }

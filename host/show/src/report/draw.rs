@@ -3,14 +3,12 @@
 use super::ReportError;
 use super::curve::{self, Limits, Point};
 use super::plot::{Plot, Series, Style};
+use super::role::{FAINT, Role, other};
 use super::svg::{self, Svg};
 use super::ticks;
 
-/// Okabe and Ito's colours, distinguishable for colour-blind readers; without yellow, which is too pale on white.
-const PALETTE: [(u8, u8, u8); 6] =
-    [(0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0)];
-const INK: &str = "#222222";
-const FAINT: &str = "#E4E4E4";
+/// Colour of the axes: that of the text around.
+const INK: &str = "currentColor";
 /// Longer series are reduced to this number of points.
 const MAX_POINTS: usize = 1_500;
 const TITLE_SIZE: f64 = 17.0;
@@ -59,7 +57,7 @@ impl Plot {
             y,
             log_y: self.log_y,
         };
-        let mut elements = svg::rectangle((0.0, 0.0), size, "#FFFFFF") + &header + &axes(self, &frame);
+        let mut elements = header + &axes(self, &frame);
         let beside: Vec<&Series> = self.series.iter().filter(|series| series.style == Style::Bars).collect();
         for (series, color) in self.series.iter().zip(&colors) {
             elements += &match beside.iter().position(|other| std::ptr::eq(*other, series)) {
@@ -72,7 +70,7 @@ impl Plot {
 }
 
 /// Title and legend, and their height in pixels.
-fn header(plot: &Plot, colors: &[String], width: f64) -> (String, f64) {
+fn header(plot: &Plot, colors: &[&str], width: f64) -> (String, f64) {
     let (mut elements, mut left, mut top) = (String::new(), MARGIN, MARGIN);
     if !plot.title.is_empty() {
         let place = (MARGIN, top + LINE_HEIGHT / 2.0 + CHARACTER.1 * TITLE_SIZE);
@@ -136,7 +134,7 @@ fn axes(plot: &Plot, frame: &Frame) -> String {
     let mut elements = String::new();
     for (value, name) in x_marks(plot, frame.x) {
         let (x, _) = frame.at((value, frame.y.0));
-        elements += &svg::line(&[(x, bottom), (x, top)], FAINT, 1.0, false);
+        elements += &svg::line(&[(x, bottom), (x, top)], FAINT.0, 1.0, false);
         elements += &svg::line(&[(x, bottom), (x, bottom + TICK)], INK, 1.0, false);
         elements += &label((x, bottom + TICK + 10.0), "middle", &name);
     }
@@ -144,7 +142,7 @@ fn axes(plot: &Plot, frame: &Frame) -> String {
     let marks = if plot.log_y { ticks::logarithmic } else { ticks::linear };
     for value in marks(frame.y, count) {
         let (_, y) = frame.at((frame.x.0, value));
-        elements += &svg::line(&[(left, y), (right, y)], FAINT, 1.0, false);
+        elements += &svg::line(&[(left, y), (right, y)], FAINT.0, 1.0, false);
         elements += &svg::line(&[(left - TICK, y), (left, y)], INK, 1.0, false);
         elements += &label((left - TICK - 4.0, y), "end", &number(value));
     }
@@ -193,26 +191,12 @@ fn curve(series: &Series, color: &str, frame: &Frame) -> String {
     curve::clip(&joined, frame.x, frame.y).into_iter().map(line).collect()
 }
 
-/// Colour of each series; only those without a given colour use the palette.
-fn colors(series: &[Series]) -> Vec<String> {
-    let mut taken = 0;
-    let color = |series: &Series| match (series.color, series.style) {
-        (Some((red, green, blue)), _) => format!("#{red:02X}{green:02X}{blue:02X}"),
-        (None, Style::Dashed) => INK.to_owned(),
-        (None, _) => {
-            taken += 1;
-            palette(taken - 1)
-        }
-    };
-    series.iter().map(color).collect()
-}
-
-/// The palette, repeated in ever darker shades.
-fn palette(index: usize) -> String {
-    let shade = 0.6_f64.powi((index / PALETTE.len()) as i32);
-    let darker = |channel: u8| (f64::from(channel) * shade) as u8;
-    let (red, green, blue) = PALETTE[index % PALETTE.len()];
-    format!("#{:02X}{:02X}{:02X}", darker(red), darker(green), darker(blue))
+/// Colour of each series on a light page; only those without a role use the other colours.
+fn colors(series: &[Series]) -> Vec<&'static str> {
+    let mut others = (0..).map(other);
+    let role = |series: &Series| series.role.or((series.style == Style::Dashed).then_some(Role::Target));
+    let colors = series.iter().map(|series| role(series).map(|role| role.color().0));
+    colors.filter_map(|color| color.or_else(|| others.next())).collect()
 }
 
 /// A text that has its start, middle or end at a place, and its middle at that height.

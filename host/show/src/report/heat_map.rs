@@ -90,7 +90,7 @@ impl HeatMap {
 
     fn cell(&self, place: (usize, usize), value: f64, lowest: f64, (width, height): (f64, f64)) -> String {
         let (x, y) = self.corner(place, (width, height));
-        let frame = if value <= lowest { " stroke=\"#d55e00\" stroke-width=\"3\"" } else { "" };
+        let frame = if value <= lowest { " stroke=\"currentColor\" stroke-width=\"3\"" } else { "" };
         let label = format!("{} / {}: {value:.3}", self.x_name(place.0), self.y_name(place.1));
         format!(
             "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{}\"{frame}>\
@@ -188,7 +188,7 @@ mod tests {
     fn every_known_value_has_a_cell_and_the_lowest_is_framed() {
         let svg = map().to_svg().unwrap();
         assert_eq!(svg.matches("<title>").count(), 5);
-        assert_eq!(svg.matches("stroke=").count(), 1);
+        assert_eq!(svg.matches("stroke-width").count(), 1);
         assert!(svg.contains("<title>0.5 / 1: 1.000</title>") && svg.contains("a &lt; b"), "{svg}");
     }
 

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::role::dark_rules;
 use super::svg::Svg;
 use super::text::escape;
 use super::{HeatMap, Plot, ReportError, Table};
@@ -42,6 +43,14 @@ impl Section {
     pub fn new(heading: impl Into<String>, text: impl Into<String>, blocks: Vec<Block>) -> Self {
         Self { heading: heading.into(), text: text.into(), blocks }
     }
+
+    /// What a reader can do next: purposes with their commands.
+    pub fn next(steps: &[(&str, String)]) -> Self {
+        let step = |(what, command): &(&str, String)| {
+            [Block::Text((*what).to_owned()), Block::Command(command.clone())]
+        };
+        Self::new("What to do next", "", steps.iter().flat_map(step).collect())
+    }
 }
 
 /// Content of a section.
@@ -57,6 +66,8 @@ pub enum Block {
     HeatMap(HeatMap),
     /// Paragraphs, separated by empty lines.
     Text(String),
+    /// A command line.
+    Command(String),
 }
 
 impl Report {
@@ -69,7 +80,8 @@ impl Report {
         let mut html = format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-             <title>{title}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<header>\n<h1>{title}</h1>\n"
+             <title>{title}</title>\n<style>\n{STYLE}{}</style>\n</head>\n<body>\n<header>\n<h1>{title}</h1>\n",
+            dark_rules()
         );
         html.extend(
             (!self.subtitle.is_empty())
@@ -116,6 +128,7 @@ impl Block {
             }
             Self::HeatMap(map) => figures("plots", &figure(&map.title, &map.drawing()?)),
             Self::Text(text) => paragraphs(text),
+            Self::Command(line) => format!("<pre class=\"command\">{}</pre>\n", escape(line)),
         })
     }
 }
@@ -145,19 +158,17 @@ fn paragraph(text: &str) -> String {
 }
 
 fn footer(provenance: &Provenance) -> String {
-    let or_none = |text: &str| {
-        if text.is_empty() { "none".to_owned() } else { text.to_owned() }
-    };
     let facts = [
-        ("Revision", provenance.git_revision.clone()),
-        ("Source", or_none(&provenance.source)),
-        ("Plant", or_none(&provenance.plant)),
-        ("Seed", provenance.seed.to_string()),
-        ("Period", format!("{} µs", provenance.period_us)),
-        ("Weights", or_none(&provenance.weights_id)),
+        ("Plant", provenance.plant.clone()),
+        ("Made by", provenance.source.clone()),
+        ("Weights of the controller", provenance.weights_id.clone()),
+        ("Seed of the random numbers", provenance.seed.to_string()),
+        ("Control period", format!("{} µs", provenance.period_us)),
+        ("Revision of the program", provenance.git_revision.clone()),
     ];
-    let mut html = String::from("<footer>\n<h2>Provenance</h2>\n<dl>\n");
-    html.extend(facts.map(|(name, fact)| format!("<div><dt>{name}</dt><dd>{}</dd></div>\n", escape(&fact))));
+    let mut html = String::from("<footer>\n<h2>Origin of the data</h2>\n<dl>\n");
+    let known = facts.iter().filter(|(_, fact)| !fact.is_empty());
+    html.extend(known.map(|(name, fact)| format!("<div><dt>{name}</dt><dd>{}</dd></div>\n", escape(fact))));
     html += "</dl>\n";
     html.extend(provenance.notes.iter().map(|note| paragraph(note)));
     if !provenance.settings.is_null() {

@@ -26,7 +26,7 @@ impl Report {
         blocks.flat_map(|block| match block {
             Block::Plot(plot) => std::slice::from_ref(plot),
             Block::PlotRow(plots) => plots,
-            Block::Table(_) | Block::HeatMap(_) | Block::Text(_) => &[],
+            Block::Table(_) | Block::HeatMap(_) | Block::Text(_) | Block::Command(_) => &[],
         })
     }
 
@@ -49,6 +49,7 @@ impl Section {
             Block::Plot(plot) => format!("\n{}", image(plot)),
             Block::PlotRow(plots) => format!("\n{}", plots.iter().map(image).collect::<String>()),
             Block::Text(words) => format!("\n{words}\n"),
+            Block::Command(line) => format!("\n    {line}\n"),
             // Only the HTML page shows maps.
             Block::HeatMap(_) => String::new(),
         };

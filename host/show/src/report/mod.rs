@@ -6,6 +6,7 @@ mod heat_map;
 mod html;
 mod markdown;
 mod plot;
+mod role;
 mod svg;
 mod table;
 mod terminal;
@@ -21,7 +22,9 @@ use thiserror::Error;
 pub use heat_map::HeatMap;
 pub use html::{Block, Report, Section};
 pub use plot::{Plot, Series, Style};
+pub use role::Role;
 pub use table::{Cell, Column, Table};
+pub use text::duration;
 
 /// Why a report cannot be created.
 #[derive(Debug, Error)]

@@ -1,7 +1,7 @@
 //! Plots with two axes: their curves, the checks of their points, and the ends of their axes.
 
-use super::ReportError;
 use super::curve::{Limits, Point};
+use super::{ReportError, Role};
 
 /// How a series is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -9,7 +9,7 @@ pub enum Style {
     /// Straight lines between the points.
     #[default]
     Line,
-    /// Dashed line, for targets; dark unless a colour is given.
+    /// Dashed line, for targets; in their colour unless another role is given.
     Dashed,
     /// Each value holds until the next point.
     Step,
@@ -28,14 +28,23 @@ pub struct Series {
     pub points: Vec<(f64, f64)>,
     /// How it is drawn.
     pub style: Style,
-    /// Red, green, blue; `None` uses the next colour of the palette.
-    pub color: Option<(u8, u8, u8)>,
+    /// What it stands for, which decides its colour; `None` uses the next of the other colours.
+    pub role: Option<Role>,
 }
 
 impl Series {
-    /// A series in a palette colour.
+    /// A series, whose name tells its role.
     pub fn new(name: impl Into<String>, style: Style, points: Vec<(f64, f64)>) -> Self {
-        Self { name: name.into(), points, style, color: None }
+        let name = name.into();
+        Self { role: Role::named(&name), name, points, style }
+    }
+
+    /// The difference of this series to another one with the same times.
+    #[must_use]
+    pub fn minus(&self, other: &Self) -> Self {
+        let both = self.points.iter().zip(&other.points);
+        let points = both.map(|((time, value), (_, other))| (*time, value - other)).collect();
+        Self { points, ..self.clone() }
     }
 }
 

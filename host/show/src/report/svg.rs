@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::curve::Point;
+use super::role::{PAPER, own_style};
 use super::text::escape;
 
 /// SVG elements and their frame.
@@ -26,20 +27,21 @@ impl Svg {
         whole
     }
 
-    /// A standalone document.
+    /// A standalone document, with a background and colours for light and dark pages.
     pub fn to_document(&self) -> String {
-        self.element("", " xmlns=\"http://www.w3.org/2000/svg\"")
+        let own = format!("<style>\n{}</style>\n{}", own_style(), rectangle((0.0, 0.0), self.size, PAPER.0));
+        self.element("", " xmlns=\"http://www.w3.org/2000/svg\"", &own)
     }
 
-    /// A part of an HTML page, which needs no namespace; screen readers read `label`.
+    /// A part of an HTML page, which has the style and needs no namespace; screen readers read `label`.
     pub fn to_html(&self, label: &str) -> String {
-        self.element(&format!(" role=\"img\" aria-label=\"{}\"", escape(label)), "")
+        self.element(&format!(" role=\"img\" aria-label=\"{}\"", escape(label)), "", "")
     }
 
-    fn element(&self, before: &str, after: &str) -> String {
+    fn element(&self, before: &str, after: &str, own: &str) -> String {
         let Self { size: (width, height), elements } = self;
         format!(
-            "<svg{before} width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\"{after}>\n{elements}</svg>\n"
+            "<svg{before} width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\"{after}>\n{own}{elements}</svg>\n"
         )
     }
 }
@@ -73,7 +75,7 @@ pub(super) fn dot((x, y): Point, color: &str) -> String {
 /// Words whose line is at `y`, with more attributes.
 pub(super) fn text((x, y): Point, attributes: &str, words: &str) -> String {
     format!(
-        "<text x=\"{x:.1}\" y=\"{y:.1}\" font-family=\"sans-serif\" fill=\"#222\" {attributes}>{}</text>\n",
+        "<text x=\"{x:.1}\" y=\"{y:.1}\" font-family=\"sans-serif\" fill=\"currentColor\" {attributes}>{}</text>\n",
         escape(words)
     )
 }
@@ -85,10 +87,13 @@ mod tests {
     #[test]
     fn a_drawing_is_a_document_or_a_part_of_a_page() {
         let svg = Svg { size: (80.0, 40.5), elements: "<g/>\n".to_owned() };
-        assert_eq!(
-            svg.to_document(),
-            "<svg width=\"80\" height=\"40.5\" viewBox=\"0 0 80 40.5\" xmlns=\"http://www.w3.org/2000/svg\">\n<g/>\n</svg>\n"
+        let document = svg.to_document();
+        let head = "<svg width=\"80\" height=\"40.5\" viewBox=\"0 0 80 40.5\" xmlns=\"http://www.w3.org/2000/svg\">\n<style>\n";
+        assert!(
+            document.starts_with(head) && document.ends_with("fill=\"#FFFFFF\"/>\n<g/>\n</svg>\n"),
+            "{document}"
         );
+        assert!(document.contains("@media (prefers-color-scheme: dark)"));
         assert_eq!(
             svg.to_html("a < b"),
             "<svg role=\"img\" aria-label=\"a &lt; b\" width=\"80\" height=\"40.5\" viewBox=\"0 0 80 40.5\">\n<g/>\n</svg>\n"

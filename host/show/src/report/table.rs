@@ -119,17 +119,17 @@ impl Table {
         self.rows.first().and_then(|row| row.get(index)).is_some_and(|cell| cell.numeric)
     }
 
-    /// As an HTML `table` element.
+    /// As an HTML table that scrolls in a box of its own, below its caption.
     pub fn to_html(&self) -> String {
         let class = |index| {
             if self.is_numeric(index) { " class=\"number\"" } else { "" }
         };
         let head = |index| format!("<th{}>{}</th>", class(index), escape(self.head(index)));
-        let mut html = String::from("<div class=\"scroll\"><table>\n");
-        html.extend(
-            (!self.title.is_empty()).then(|| format!("<caption>{}</caption>\n", escape(&self.title))),
-        );
-        html += "<thead><tr>";
+        // Outside the box that scrolls, so that the caption is as wide as the page.
+        let caption = format!("<figcaption>{}</figcaption>\n", escape(&self.title));
+        let mut html = String::from("<figure class=\"table\">\n");
+        html.extend((!self.title.is_empty()).then_some(caption));
+        html += "<div class=\"scroll\"><table>\n<thead><tr>";
         html.extend((0..self.columns()).map(head));
         html += "</tr></thead>\n<tbody>\n";
         for row in &self.rows {
@@ -142,6 +142,6 @@ impl Table {
             }));
             html += "</tr>\n";
         }
-        html + "</tbody></table></div>\n"
+        html + "</tbody></table></div>\n</figure>\n"
     }
 }

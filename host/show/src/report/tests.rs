@@ -91,7 +91,38 @@ fn a_report_refers_to_nothing_outside_itself() {
         assert!(!html.contains(reference), "{reference}");
     }
     assert_eq!(html.matches("<svg").count(), 3);
-    assert!(html.contains("prefers-color-scheme: dark"));
+}
+
+#[test]
+fn drawings_follow_the_page_to_its_dark_colours() {
+    let (html, svg) = (with_plots().to_html().unwrap(), plot().to_svg().unwrap());
+    let (light, dark) = Role::Pressure.color();
+    for text in [&html, &svg] {
+        let rule = format!("svg [stroke=\"{light}\"]{{stroke:{dark}}}");
+        let (_, on_dark) = text.split_once(&rule).expect("the rule");
+        assert!(text.contains("@media (prefers-color-scheme: dark) {\nsvg [fill="));
+        assert!(
+            on_dark.contains(&format!("fill=\"none\" stroke=\"{light}\""))
+                && on_dark.contains("currentColor")
+        );
+    }
+    // A page has its own background; a file of its own brings one along.
+    assert!(!html.contains("fill=\"#FFFFFF\"/>") && svg.contains("fill=\"#FFFFFF\"/>"));
+}
+
+#[test]
+fn a_controller_has_its_colour_wherever_its_curve_is() {
+    let curve = |name: &str| Series::new(name, Style::Line, vec![(0.0, 1.0), (1.0, 2.0)]);
+    let strokes = |names: [&str; 3]| {
+        let svg = Plot { series: names.map(curve).to_vec(), ..plot() }.drawing().unwrap().elements;
+        let curves = svg.lines().filter(|line| line.contains("stroke-width=\"2\"")).skip(3);
+        let stroke = |line: &str| line.split("stroke=\"").nth(1).unwrap()[..7].to_owned();
+        curves.map(stroke).collect::<Vec<_>>()
+    };
+    let [pid, learned] = [Role::Pid, Role::Learned].map(|role| role.color().0.to_owned());
+    let first = strokes(["PID", "learned", "round 1"]);
+    assert_eq!(strokes(["round 1", "learned", "PID"]), [&first[2], &learned, &pid].map(String::clone));
+    assert_eq!(first[..2], [pid, learned]);
 }
 
 #[test]
@@ -177,12 +208,11 @@ fn bars_stand_side_by_side_over_their_names() {
         after.split('"').next().unwrap().parse().unwrap()
     };
     // Two samples in the legend, then the bars of each series.
-    let blue = "#0072B2";
     let places = |color: &str| -> Vec<(f64, f64)> {
         let bars = svg.lines().filter(|line| line.starts_with("<rect") && line.contains(color));
         bars.map(|line| (attribute(line, "x"), attribute(line, "width"))).collect()
     };
-    let (first, second) = (places(blue), places("#D55E00"));
+    let (first, second) = (places("\"#117733\""), places("\"#AA4499\""));
     assert_eq!((first.len(), second.len()), (3, 3));
     for (one, other) in first[1..].iter().zip(&second[1..]) {
         assert!((one.0 + one.1 - other.0).abs() <= 0.25, "{one:?} {other:?}");

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::command::write;
 use data::recording::Recording;
-use show::report::{Plot, Series, Style};
+use show::report::{Plot, Role, Series, Style};
 use verdict::{Judged, SoreSpot, Verdict};
 
 /// Sizes of the two plots of a picture, pixels; wide enough for the title.
@@ -52,7 +52,10 @@ fn plots(recording: &Recording, verdict: &Verdict, spot: &SoreSpot) -> [Plot; 2]
         Series::new("target", Style::Dashed, points(&recording.target)),
         Series::new("pressure", Style::Line, curve),
     ];
-    series.extend(mark.map(|mark| Series::new(spot.kind.name(), Style::Points, vec![mark])));
+    series.extend(mark.map(|mark| Series {
+        role: Some(Role::Limit),
+        ..Series::new(spot.kind.name(), Style::Points, vec![mark])
+    }));
     let mut commands = vec![Series::new("inspiratory valve", Style::Step, points(&recording.u_in))];
     commands.push(Series::new("expiratory valve", Style::Step, points(&recording.u_out)));
     if let Some(oxygen) = &recording.u_psol {
