@@ -15,7 +15,7 @@ use crate::args::settings::SettingsArgs;
 use crate::args::source::SourceArgs;
 use crate::args::waveforms::pips;
 use crate::command::bounds::{some, within};
-use crate::command::{Command, Context, Makes, Output};
+use crate::command::{Command, Context, Makes, Output, quoted};
 use data::recording::Recording;
 use data::workspace::Workspace;
 use learn::controller::CurvePoint;
@@ -226,16 +226,25 @@ impl Args {
         learned.save(&controller)?;
         context.saved(&controller);
         let (weights, weights_id) = self.result.packed(&learned, context)?;
+        let port = self.source.port.port.as_ref().map_or("/dev/ttyACM0".into(), ToString::to_string);
+        let flash = format!("trainer flash {} --port {}", quoted(&weights), quoted(&port));
+        let mut sections = sections(figures, comparison, winner, &curve);
+        if !worse {
+            let serve = format!("trainer serve --port {}", quoted(&port));
+            sections.push(Section::next(&[
+                ("Load it into the device:", flash.clone()),
+                ("Watch the device in a browser:", serve),
+            ]));
+        }
         let report = Report {
             title: "Commissioning".into(),
             subtitle: format!("{} from {}", recording.provenance.plant, start.name),
-            sections: sections(figures, comparison, winner, &curve),
+            sections,
             provenance: Some(recording.provenance.clone()),
         };
         context.report(Some(&self.result.out.join(REPORT)), || Ok(report))?;
         if !worse {
-            let port = self.source.port.port.as_ref().map_or("/dev/ttyACM0".into(), ToString::to_string);
-            context.line(&format!("Flash it with: trainer flash {} --port {port}", weights.display()));
+            context.line(&format!("Flash it with: {flash}"));
         }
         Ok(Summary {
             seed: self.result.seed,

@@ -10,11 +10,12 @@ use shared::breath::{DEFAULT_PERIOD_US, PERIOD_BOUNDS_US};
 use super::qemu::{IMAGES, board};
 use crate::args::bench::BenchArgs;
 use crate::command::bounds::within;
-use crate::command::{Command, Context, Makes, Output, OutputArgs};
+use crate::command::{Command, Context, Makes, Output, OutputArgs, quoted};
 use learn::controller::{EFFORT_PRICE, TrainConfig};
 use learn::pipeline::PipelineConfig;
 use plant::prescriptions::Prescriptions;
 use score::baselines::Search;
+use show::report::Section;
 use study::demo::{DemoConfig, DemoSummary, Venue, run as run_demo};
 
 /// Run the whole pipeline on one lung and write a report
@@ -96,8 +97,7 @@ impl Command for Args {
             "best PID: P {:.3}, I {:.1}, D {:.4}; mean error {:.3} cmH2O, P only {:.3}, I only {:.3}\n\
          learned:  mean error {:.3} cmH2O, {:.0} % of the best PID's; {:.3} on its learned simulator\n\
          valve:    effort on the plateau {pid_effort:.0} %/s under the PID, {effort:.0} under the learned controller\n\
-         simulator: open-loop distance {:.3} cmH2O on held-out breaths\n\
-         report: {}",
+         simulator: open-loop distance {:.3} cmH2O on held-out breaths",
             gains.p,
             gains.i,
             gains.d,
@@ -108,7 +108,6 @@ impl Command for Args {
             100.0 * summary.ratio(),
             summary.mean.learned_on_simulator,
             summary.open_loop_distance,
-            self.out.join("report.html").display()
         ));
         if !summary.improved {
             context.line(
@@ -118,11 +117,36 @@ impl Command for Args {
         if !demo.outcome.complete {
             context.line("Stopped early: this is the controller so far. Run the command again to continue.");
         }
+        context.report(Some(&self.out.join("report.html")), || {
+            let mut report = demo.report();
+            report.sections.push(self.next());
+            Ok(report)
+        })?;
         Ok(Some(demo.summary))
     }
 }
 
 impl Args {
+    fn next(&self) -> Section {
+        let file = |name: &str| quoted(self.out.join(name));
+        let (controller, weights) = (file("controller.safetensors"), file("weights.bin"));
+        Section::next(&[
+            (
+                "Compare the controller with its PID on another lung:",
+                format!("trainer evaluate --controller {controller} --bench R50C10 --report evaluation.html"),
+            ),
+            (
+                "Load it into a device that has this project's firmware and is connected to a test lung:",
+                format!("trainer flash {weights} --port /dev/ttyACM0"),
+            ),
+            ("Watch that device in a browser:", "trainer serve --port /dev/ttyACM0".into()),
+            (
+                "Watch simulated devices, each lung with a PID and with a learned controller:",
+                "trainer serve --demo".into(),
+            ),
+        ])
+    }
+
     /// Where the breaths run.
     #[cfg(unix)]
     fn venue(&self) -> anyhow::Result<Venue> {

@@ -16,7 +16,7 @@ use crate::args::port::source as device_source;
 use crate::args::source::SourceArgs;
 use crate::args::waveforms::WaveformsArgs;
 use crate::command::bounds::{some, within};
-use crate::command::{Command, Context, Makes, OutFile, Output, OutputArgs};
+use crate::command::{Command, Context, Makes, OutFile, Output, OutputArgs, quoted};
 use data::kind::Kind;
 use data::provenance::Provenance;
 use plant::bench::BenchConfig;
@@ -298,7 +298,7 @@ impl<C: Choice> Command for Args<C> {
         }
         let policy = self.choice.account(&setup.chosen, context);
         print_cuts(&setup, &comparison, context);
-        context.report(self.report.as_deref(), || report(self, &setup, &comparison))?;
+        context.report(self.report.as_deref(), || report(self, &setup, &comparison, context))?;
         Ok(Some(Outcome::Comparison(Box::new(Summary {
             seed: self.seed,
             lung: setup
@@ -358,7 +358,12 @@ fn run_breathing(args: &Args<impl Choice>, context: &Context<'_>) -> anyhow::Res
     })
 }
 
-fn report(args: &Args<impl Choice>, setup: &Setup, comparison: &Comparison) -> anyhow::Result<Report> {
+fn report(
+    args: &Args<impl Choice>,
+    setup: &Setup,
+    comparison: &Comparison,
+    context: &Context<'_>,
+) -> anyhow::Result<Report> {
     let mut sections = vec![Section {
         heading: "Figures".into(),
         text: format!(
@@ -375,6 +380,7 @@ fn report(args: &Args<impl Choice>, setup: &Setup, comparison: &Comparison) -> a
             sections.push(curves(setup, bench, &waveform.title(), settings)?);
         }
     }
+    sections.extend(next(&setup.chosen, context));
     Ok(Report {
         title: "Evaluation".into(),
         subtitle: format!("{} on {}", setup.chosen.name, setup.ground.name()),
@@ -389,6 +395,25 @@ fn report(args: &Args<impl Choice>, setup: &Setup, comparison: &Comparison) -> a
         }),
     })
 }
+
+/// What to do with the controller; none for one that no device runs.
+fn next(chosen: &Chosen, context: &Context<'_>) -> Option<Section> {
+    if chosen.residual().is_none() {
+        chosen.controller.chip()?;
+        let (bench, gains) = (context.bench_option(), format_gains(&chosen.gains()));
+        let train = format!("trainer train{bench} --gains {gains} --out out/controller");
+        return Some(Section::next(&[("Learn a controller that adds to this PID:", train)]));
+    }
+    let image = format!("trainer export {} --out weights.bin", quoted(&chosen.name));
+    Some(Section::next(&[
+        ("Write the controller as the weights image that a device loads:", image),
+        ("Load it into a device that is connected to a test lung:", FLASH.into()),
+        ("Watch the device in a browser:", "trainer serve --port /dev/ttyACM0".into()),
+    ]))
+}
+
+/// Loads the exported weights.
+const FLASH: &str = "trainer flash weights.bin --port /dev/ttyACM0";
 
 /// One breath of a waveform: pressures and valves.
 fn curves(setup: &Setup, bench: &BenchConfig, title: &str, settings: &Settings) -> anyhow::Result<Section> {

@@ -4,21 +4,21 @@ mod report;
 #[cfg(test)]
 mod tests;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
 
 use crate::args::preset::Preset;
 use crate::command::bounds::{some, within};
-use crate::command::{Command, Context, Makes, OutFile, Output, OutputArgs};
+use crate::command::{Command, Context, Makes, OutFile, Output, OutputArgs, quoted};
 use data::identity::LungParameters;
 use data::kind;
 use data::recording::Recording;
 use learn::recipe::{self, Recipe};
 use learn::simulator::episode::episodes;
 use learn::simulator::open_loop::OpenLoop;
-use show::report::{Cell, Table};
+use show::report::{Cell, Section, Table};
 use verdict::fit_summary::{FitSummary, RESPONSE_S};
 
 /// Learn a differentiable simulator from recordings
@@ -135,10 +135,18 @@ impl Command for Args {
             Some(path) => context.saved(path),
             None => context.line("the simulator is not kept: --out FILE.safetensors keeps it"),
         }
-        context
-            .report(self.report.as_deref(), || Ok(report::report(&summary, &fitted, &parts, &recording)))?;
+        context.report(self.report.as_deref(), || {
+            let mut report = report::report(&summary, &fitted, &parts, &recording);
+            report.sections.extend(self.out.as_ref().map(|path| next(path)));
+            Ok(report)
+        })?;
         Ok(Some(summary))
     }
+}
+
+fn next(simulator: &Path) -> Section {
+    let train = format!("trainer train --simulator {} --out out/controller", quoted(simulator));
+    Section::next(&[("Train a controller on this simulator:", train)])
 }
 
 fn recipe(args: &Args) -> Recipe {

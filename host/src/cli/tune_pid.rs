@@ -170,7 +170,9 @@ fn show(
     if !result.complete {
         context.line("stopped: the best gains found so far");
     }
-    context.report(args.report.as_deref(), || Ok(report(args, &plan, parameters, search, &result)))?;
+    context.report(args.report.as_deref(), || {
+        Ok(report(args, &plan, parameters, search, &result, &context.bench_option()))
+    })?;
     Ok(Summary { seed: args.seed, plan, result })
 }
 
@@ -224,7 +226,14 @@ fn score_cell(score: f64) -> Cell {
     if score < FAULT_SCORE { Cell::number(score, 3) } else { Cell::right("fault") }
 }
 
-fn report(args: &Args, plan: &Plan, parameters: &str, search: &Search, result: &TuneResult) -> Report {
+fn report(
+    args: &Args,
+    plan: &Plan,
+    parameters: &str,
+    search: &Search,
+    result: &TuneResult,
+    bench: &str,
+) -> Report {
     let best = result.over_all.pid;
     let mut overview = vec![Block::Table(table(result))];
     if !result.complete {
@@ -236,6 +245,8 @@ fn report(args: &Args, plan: &Plan, parameters: &str, search: &Search, result: &
         blocks: overview,
     }];
     sections.extend(result.lungs.iter().map(map_section));
+    let train = format!("trainer train{bench} --gains {} --out out/controller", format_gains(&best.gains));
+    sections.push(Section::next(&[("Learn a controller that adds to this PID:", train)]));
     let plant = result.lungs.iter().map(|lung| lung.lung.clone()).collect::<Vec<_>>().join(", ");
     Report {
         title: "PID search".into(),

@@ -11,7 +11,7 @@ use clap::{Arg, ArgAction};
 
 use super::bounds::stated;
 use super::out_file;
-use super::program::{message, run};
+use super::program::{line, message, run};
 use super::{FAILURE, Failure, Observer, Program};
 
 /// Why a command has no result.
@@ -39,11 +39,12 @@ pub fn call<P: Program>(
     stop: &AtomicBool,
 ) -> Result<String, CallError> {
     let name = OsString::from(P::NAME);
-    let line = std::iter::once(name).chain(arguments.iter().cloned());
-    let matches = P::command().try_get_matches_from(line).map_err(|error| usage(&error))?;
+    let all: Vec<_> = std::iter::once(name).chain(arguments.iter().cloned()).collect();
+    let line = line::<P>(&all);
+    let matches = P::command().try_get_matches_from(all).map_err(|error| usage(&error))?;
     let program = P::from_arg_matches(&matches).map_err(|error| usage(&error))?;
     out_file::check(&P::command(), &matches).map_err(|error| CallError::Usage(message(&error)))?;
-    let done = run(&program, &matches, stop, Some(observer));
+    let done = run(&program, &matches, &line, stop, Some(observer));
     match done.failure {
         Some(Failure { status: FAILURE, .. }) if stop.load(Ordering::Relaxed) => Err(CallError::Stopped),
         Some(Failure { error, status: FAILURE }) => Err(CallError::Failed(error)),

@@ -4,12 +4,14 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 use campaign::record::Options;
 use progress::{Event, Progress};
-use show::report::{Report, Table};
+use show::report::{Block, Report, Section, Table, duration};
 
 use super::bars::with_bars;
+use super::quoted;
 
 /// Receives the progress of a command, on any thread.
 pub type Observer<'a> = dyn Fn(&Event<'_>) + Send + Sync + 'a;
@@ -25,6 +27,10 @@ pub struct Context<'a> {
     pub(super) silent: bool,
     /// The options of the command.
     pub(super) options: &'a Options,
+    /// The command line, as a shell takes it.
+    pub(super) line: &'a str,
+    /// When the command began.
+    pub(super) began: Instant,
     /// Why a line was lost, if one was.
     pub(super) lost: &'a OnceLock<io::Error>,
 }
@@ -53,6 +59,13 @@ impl Context<'_> {
         self.options
     }
 
+    /// The bench of this command as an option of another one, if it has one.
+    pub fn bench_option(&self) -> String {
+        // Several benches are separated by blanks, as are the words of a file's name: leave out what is not one word.
+        let bench = self.options.get("bench").filter(|bench| !bench.is_empty() && !bench.contains(' '));
+        bench.map_or_else(String::new, |bench| format!(" --bench {}", quoted(bench)))
+    }
+
     /// Prints a table, unless standard output is for JSON alone.
     pub fn table(&self, table: &Table) {
         self.line(&format!("{}\n", table.to_terminal()));
@@ -74,7 +87,7 @@ impl Context<'_> {
         self.line(&format!("saved {}", path.display()));
     }
 
-    /// Writes a report, if requested.
+    /// Writes a report, if requested, with the command that made it and the time it took.
     ///
     /// # Errors
     /// A report that cannot be made, or a file that cannot be written.
@@ -84,7 +97,12 @@ impl Context<'_> {
         report: impl FnOnce() -> anyhow::Result<Report>,
     ) -> anyhow::Result<()> {
         let Some(path) = path else { return Ok(()) };
-        report()?.save(path)?;
+        let mut report = report()?;
+        let time =
+            format!("This command made the page, in {}:", duration(self.began.elapsed().as_secs_f64()));
+        let made = vec![Block::Command(self.line.to_owned())];
+        report.sections.push(Section::new("How this page was made", time, made));
+        report.save(path)?;
         self.saved(path);
         Ok(())
     }

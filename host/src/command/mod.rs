@@ -19,7 +19,7 @@ use serde::Serialize;
 pub use context::{Context, Observer};
 pub use out_file::{ForceArgs, OutFile};
 pub use output::{Makes, Output, OutputArgs, write, write_json};
-pub use program::{Done, Failure, Program, Runnable, main};
+pub use program::{Done, Failure, Program, Runnable, main, quoted};
 
 /// Exit status of a command that failed.
 pub const FAILURE: u8 = 1;

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
+use std::time::Instant;
 
 use anyhow::Error;
 use campaign::record::{Ending, Results};
@@ -113,13 +114,14 @@ pub fn main<P: Program>() -> ExitCode {
     log_to_standard_error();
     let stop = stop_at_ctrl_c();
     let arguments = with_negative_values(std::env::args_os());
+    let line = line::<P>(&arguments);
     let matches = stated(grouped(P::command(), P::groups())).get_matches_from(arguments);
     let program =
         P::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut P::command()).exit());
     if let Err(error) = out_file::check(&P::command(), &matches) {
         return failed(&error, USAGE);
     }
-    match run(&program, &matches, &stop, None).failure {
+    match run(&program, &matches, &line, &stop, None).failure {
         Some(Failure { error, status: FAILURE }) if stop.load(Ordering::Relaxed) => {
             failed(&error, INTERRUPTED)
         }
@@ -154,6 +156,23 @@ fn with_negative_values(arguments: impl Iterator<Item = OsString>) -> Vec<OsStri
     joined
 }
 
+/// The command line with these arguments, the first of which is the program, as a shell takes it.
+pub(super) fn line<P: Program>(arguments: &[OsString]) -> String {
+    let arguments = arguments.iter().skip(1).map(|argument| format!(" {}", quoted(argument)));
+    P::NAME.to_owned() + &arguments.collect::<String>()
+}
+
+/// A word as a shell takes it: in quotes if it has letters that mean something there.
+pub fn quoted(word: impl AsRef<OsStr>) -> String {
+    let word = word.as_ref().to_string_lossy();
+    let plain = |letter: char| letter.is_alphanumeric() || "-_=+,.:/\\@%".contains(letter);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.into_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
+}
+
 /// Whether an argument is a long option without a value.
 fn is_open_option(argument: &OsStr) -> bool {
     argument.to_str().is_some_and(|text| text.len() > 2 && text.starts_with("--") && !text.contains('='))
@@ -163,6 +182,7 @@ fn is_open_option(argument: &OsStr) -> bool {
 pub(super) fn run<P: Program>(
     program: &P,
     matches: &ArgMatches,
+    line: &str,
     stop: &AtomicBool,
     observer: Option<&Observer<'_>>,
 ) -> Done {
@@ -170,7 +190,9 @@ pub(super) fn run<P: Program>(
     let silent = observer.is_some() || command.output().is_standard_output();
     let kept = Place::of(command.output()).map(|place| Kept::begin(place, &options));
     let lost = OnceLock::new();
-    let mut done = command.run(&Context { stop, observer, silent, options: &options, lost: &lost });
+    let context =
+        Context { stop, observer, silent, options: &options, line, began: Instant::now(), lost: &lost };
+    let mut done = command.run(&context);
     if let (None, Some(error)) = (&done.failure, lost.into_inner()) {
         let error =
             Error::new(error).context("the output is not complete: standard output cannot be written");
@@ -233,6 +255,12 @@ mod tests {
         for alone in ["evaluate --json - --out a", "submit -- -1", "fit --seed=1 -1", "judge -1"] {
             assert_eq!(joined(alone), alone);
         }
+    }
+
+    #[test]
+    fn words_are_quoted_where_a_shell_needs_it() {
+        let words = ["out/a-1,2", "two words", "it's", "", "serial:a?baud=9"].map(quoted);
+        assert_eq!(words, ["out/a-1,2", "'two words'", r"'it'\''s'", "''", "'serial:a?baud=9'"]);
     }
 
     #[test]

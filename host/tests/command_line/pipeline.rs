@@ -46,7 +46,20 @@ fn a_simulator_is_fitted_judged_and_reported() {
     let simulator = Simulator::load(&place.path("sim.safetensors")).unwrap();
     assert_eq!(summary["parameters"], simulator.parameters.len());
     let report = std::fs::read_to_string(place.path("fit.html")).unwrap();
-    assert!(report.contains("Training curve") && report.contains("open loop"));
+    for text in [
+        "Training curve",
+        "open loop",
+        ">simulator - true pressure<",
+        "out sim.safetensors --epochs 3 --states 4",
+    ] {
+        assert!(report.contains(text), "{text}");
+    }
+    assert!(
+        report.contains("<pre class=\"command\">trainer train --simulator sim.safetensors"),
+        "what to do next"
+    );
+    // The note on the second recording, in words.
+    assert!(report.contains("are another recording") && !report.contains("weights none"));
     assert!(place.ok("inspect sim.safetensors").contains("learned simulator"));
 }
 
@@ -67,7 +80,12 @@ fn a_learned_controller_is_scored_beside_its_pid() {
     for figure in ["score", "rise_ms", "overshoot", "plateau_error"] {
         assert!(both["waveforms"][1]["learned"][figure].is_number(), "{figure}");
     }
-    assert!(std::fs::read_to_string(place.path("evaluation.html")).unwrap().contains("Inspiratory valve"));
+    let report = std::fs::read_to_string(place.path("evaluation.html")).unwrap();
+    let export = format!("trainer export {controller} --out weights.bin");
+    let made = format!("trainer evaluate --controller {controller} {small} --report evaluation.html");
+    for text in ["Inspiratory valve", "This command made the page, in ", &export, &made] {
+        assert!(report.contains(text), "{text}");
+    }
 }
 
 /// A bench with these lines in its table of the patient, written to a file.

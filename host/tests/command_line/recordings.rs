@@ -80,6 +80,9 @@ fn imported() -> Place {
 fn lungs_are_identified_and_one_becomes_a_bench() {
     let place = imported();
     let found = place.json("identify a.parquet --write-plant lung.toml --group X:1 --report lungs.html");
+    let report = std::fs::read_to_string(place.path("lungs.html")).unwrap();
+    assert_eq!(report.matches(">residual, cmH2O</text>").count(), 1);
+    assert!(report.contains("trainer evaluate --controller adult --bench lung.toml"));
     let lung = &found["lungs"][0];
     let compliance = lung["compliance"]["value"].as_f64().unwrap();
     assert!((compliance - 20.0).abs() < 0.5, "{found}");

@@ -59,6 +59,8 @@ fn runs_are_compared_plotted_and_reported() {
     {
         assert!(fs::read_to_string(place.path(file)).unwrap().contains(text), "{file}");
     }
+    let page = fs::read_to_string(place.path("runs.html")).unwrap();
+    assert_eq!(page.matches("Runs").count(), 2, "the title and the heading");
     fs::create_dir(place.path("empty")).unwrap();
     for (line, reason) in [
         ("runs empty", "contains no runs: commands with --out leave a made-by.json"),

@@ -117,13 +117,17 @@ impl Recording {
     fn note_origin(&mut self, first_row: usize, other: &Provenance) {
         let mine = &mut self.provenance;
         mine.groups.extend_from_slice(&other.groups);
+        let weights = match other.weights_id.as_str() {
+            "" => String::new(),
+            id => format!(", controller weights {id}"),
+        };
         mine.notes.push(format!(
-            "rows {first_row}..{}: {}, plant {}, seed {}, weights {}, revision {}",
-            self.breath.len(),
-            other.source,
+            "The {} samples from number {} on are another recording: plant {}{weights}, seed {}, made by {}, revision {}.",
+            self.breath.len() - first_row,
+            first_row + 1,
             other.plant,
             other.seed,
-            if other.weights_id.is_empty() { "none" } else { &other.weights_id },
+            other.source,
             other.git_revision,
         ));
         mine.notes.extend_from_slice(&other.notes);

@@ -90,7 +90,7 @@ impl HeatMap {
 
     fn cell(&self, place: (usize, usize), value: f64, lowest: f64, (width, height): (f64, f64)) -> String {
         let (x, y) = self.corner(place, (width, height));
-        let frame = if value <= lowest { " stroke=\"currentColor\" stroke-width=\"3\"" } else { "" };
+        let frame = if value <= lowest { " stroke=\"#ffffff\" stroke-width=\"3\"" } else { "" };
         let label = format!("{} / {}: {value:.3}", self.x_name(place.0), self.y_name(place.1));
         format!(
             "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{}\"{frame}>\

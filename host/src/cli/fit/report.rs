@@ -8,6 +8,7 @@ use learn::recipe::{Fitted, Parts};
 use learn::simulator::episode::Episode;
 use learn::simulator::open_loop::predict;
 use show::report::{Block, Plot, Report, Section, Series, Style};
+use study::prediction;
 use verdict::fit_summary::FitSummary;
 
 /// Number of held-out breaths shown.
@@ -19,10 +20,9 @@ pub fn report(summary: &FitSummary, fitted: &Fitted, parts: &Parts<'_>, recordin
     let period_s = f64::from(simulator.architecture.timing().period_us) * 1e-6;
     let shown = [spread(&parts.held_out, SHOWN), spread(&parts.other_lungs, SHOWN / 2)].concat();
     let predictions = predict(simulator, &shown);
-    let breaths = shown
-        .iter()
-        .zip(&predictions)
-        .map(|(episode, prediction)| breath(episode, prediction, period_s, &recording.provenance.groups));
+    let breaths = shown.iter().zip(&predictions).flat_map(|(episode, prediction)| {
+        breath(episode, prediction, period_s, &recording.provenance.groups)
+    });
     let mut sections = vec![
         Section {
             heading: "Errors".into(),
@@ -33,7 +33,9 @@ pub fn report(summary: &FitSummary, fitted: &Fitted, parts: &Parts<'_>, recordin
         },
         Section {
             heading: "Held-out breaths".into(),
-            text: "None of these was used in the fit. Predictions use the commands and the start of the breath only.".into(),
+            text: "None of these was used in the fit. The simulator sees the commands and the start of the breath only. \
+                   Beside each breath is the error of its prediction."
+                .into(),
             blocks: vec![Block::PlotRow(breaths.collect())],
         },
     ];
@@ -59,16 +61,11 @@ fn spread<'a>(episodes: &[&'a Episode], count: usize) -> Vec<&'a Episode> {
     (0..count).map(|n| episodes[n * episodes.len() / count]).collect()
 }
 
-fn breath(episode: &Episode, prediction: &[f32], period_s: f64, groups: &[TestRun]) -> Plot {
-    let points = |values: &[f32]| -> Vec<(f64, f64)> {
-        values.iter().enumerate().map(|(tick, p)| (tick as f64 * period_s, f64::from(*p))).collect()
-    };
-    let mut series = vec![Series::new("measured", Style::Line, points(&episode.pressure))];
-    series.extend(episode.truth.as_ref().map(|truth| Series::new("true", Style::Line, points(truth))));
-    series.push(Series::new("open loop", Style::Dashed, points(prediction)));
+fn breath(episode: &Episode, prediction: &[f32], period_s: f64, groups: &[TestRun]) -> [Plot; 2] {
     let group = episode.group.and_then(|index| groups.get(index as usize));
     let of = group.map_or_else(String::new, |name| format!("{name}, "));
-    Plot::over_time(format!("{of}PIP {:.1} cmH2O", episode.pip), "pressure, cmH2O", series)
+    let title = format!("{of}PIP {:.1} cmH2O", episode.pip);
+    prediction::plots(title, &episode.pressure, episode.truth.as_deref(), prediction, period_s)
 }
 
 /// The loss by epoch; `None` for a fit stopped before its first epoch.

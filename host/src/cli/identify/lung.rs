@@ -6,7 +6,7 @@ use anyhow::{Context as _, bail};
 use serde::Serialize;
 
 use super::LungArgs;
-use crate::command::{Context, write};
+use crate::command::{Context, quoted, write};
 use data::recording::Recording;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 use verdict::identify::cycle::Cycle;
@@ -44,8 +44,27 @@ pub fn run(data: &Path, args: &LungArgs, context: &Context<'_>) -> anyhow::Resul
         write(path, bench::to_toml(&bench, lung).as_bytes())?;
         context.saved(path);
     }
-    context.report(args.report.as_deref(), || report(&recording, &found))?;
+    context.report(args.report.as_deref(), || {
+        let mut report = report(&recording, &found)?;
+        report.sections.push(next(data, args.write_plant.as_deref(), &found));
+        Ok(report)
+    })?;
     Ok(Found { plant: recording.provenance.plant, lungs: found })
+}
+
+fn next(data: &Path, written: Option<&Path>, found: &[Identified]) -> Section {
+    let evaluate = |bench: &Path| format!("trainer evaluate --controller adult --bench {}", quoted(bench));
+    let compare = (
+        "Compare a PID with the shipped controller on this lung:",
+        evaluate(written.unwrap_or(Path::new("lung.toml"))),
+    );
+    let group =
+        found.first().map(|lung| format!(" --group {}", quoted(lung.id.to_string()))).unwrap_or_default();
+    let write = format!("trainer identify {}{group} --write-plant lung.toml", quoted(data));
+    match written {
+        Some(_) => Section::next(&[compare]),
+        None => Section::next(&[("Write a lung as the description of a bench:", write), compare]),
+    }
 }
 
 fn names(lungs: &[Identified]) -> String {
@@ -128,7 +147,8 @@ fn estimate(estimate: &Estimate) -> Cell {
 fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report> {
     let plots = lungs(recording)?
         .iter()
-        .filter_map(|lung| plot(lung, found.iter().find(|found| found.id == lung.id)?))
+        .filter_map(|lung| plots(lung, found.iter().find(|found| found.id == lung.id)?))
+        .flatten()
         .collect();
     Ok(Report {
         title: "Identified lungs".into(),
@@ -143,7 +163,9 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
             },
             Section {
                 heading: "One breath of each lung".into(),
-                text: "The measured pressure, and the pressure fitted with the measured flow.".into(),
+                text: "The measured pressure, and the pressure fitted with the measured flow; beside it the residuals, \
+                       which are the fitted pressures minus the measured one."
+                    .into(),
                 blocks: vec![Block::PlotRow(plots)],
             },
         ],
@@ -151,16 +173,20 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
     })
 }
 
-/// The middle breath of a lung, with its fit.
-fn plot(lung: &LungCycles, found: &Identified) -> Option<Plot> {
+/// The middle breath of a lung with its fits, and the residuals of both.
+fn plots(lung: &LungCycles, found: &Identified) -> Option<[Plot; 2]> {
     let (_, breath) = lung.breaths.get(lung.breaths.len() / 2)?;
     let circuit = found.behind_circuit.circuit_compliance;
-    let series = vec![
-        Series::new("measured", Style::Line, points(breath, breath.pressure())),
-        Series::new("equation of motion", Style::Dashed, points(breath, &breath.fitted(0.0)?)),
+    let measured = Series::new("measured", Style::Line, points(breath, breath.pressure()));
+    let fits = [
+        Series::new("equation of motion", Style::Line, points(breath, &breath.fitted(0.0)?)),
         Series::new("behind the circuit", Style::Line, points(breath, &breath.fitted(circuit)?)),
     ];
-    Some(Plot::over_time(lung.id.to_string(), "pressure, cmH2O", series))
+    let residuals = fits.iter().map(|fit| fit.minus(&measured)).collect();
+    let curves = [measured].into_iter().chain(fits).collect();
+    let name = lung.id.to_string();
+    let residuals = Plot::over_time(format!("{name}: residuals"), "residual, cmH2O", residuals);
+    Some([Plot::over_time(name, "pressure, cmH2O", curves), residuals])
 }
 
 fn points(breath: &Cycle, values: &[f64]) -> Vec<(f64, f64)> {

@@ -1,5 +1,5 @@
 //! The whole pipeline on one lung: search the best PID, learn a controller, compare both on the true bench, and write
-//! files and report.
+//! the files; the report of it all.
 
 mod report;
 mod summary;
@@ -92,7 +92,7 @@ struct Claim {
     pipeline: PipelineConfig,
 }
 
-/// Runs the demo and writes its files to `out`; a stopped demo continues there.
+/// Runs the demo and writes its files to `out`, without the report; a stopped demo continues there.
 ///
 /// # Errors
 /// The error of the first step that fails; files of earlier steps stay.
@@ -179,7 +179,6 @@ impl Demo {
         self.outcome.learned.save(&out.join("controller.safetensors"))?;
         let image = out.join("weights.bin");
         write_atomically(&image, &self.outcome.learned.image()?).map_err(WorkspaceError::file(&image))?;
-        Workspace::new(out).save_indented("summary.json", &self.summary)?;
-        Ok(self.report().save(out.join("report.html"))?)
+        Ok(Workspace::new(out).save_indented("summary.json", &self.summary)?)
     }
 }

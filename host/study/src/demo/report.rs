@@ -1,10 +1,12 @@
 //! The demo's report: tables and figures.
 
-use super::{Contestant, Demo, TRACED_PIPS};
+use super::{Demo, TRACED_PIPS};
+use crate::prediction;
 use data::provenance::Provenance;
 use learn::pipeline::Round;
 use learn::simulator::episode::{Episode, episodes, split};
 use learn::simulator::open_loop::predict;
+use score::evaluate::BreathTrace;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// Number of held-out breaths whose prediction is shown.
@@ -26,6 +28,8 @@ impl Demo {
             provenance: Some(Provenance {
                 seed: summary.seed,
                 plant: summary.lung.clone(),
+                source: "trainer demo".into(),
+                notes: Vec::new(),
                 ..self.outcome.plants[0].recording.provenance.clone()
             }),
         }
@@ -39,15 +43,18 @@ impl Demo {
         };
         let better = self.summary.ratio() < 1.0;
         let rivals = Table::of(
-            "Mean error over the six waveforms, cmH2O",
+            "Means over the six waveforms",
             &rows,
             &[
                 ("controller", &|(contestant, _)| Cell::text(contestant.name)),
                 ("P %/cmH2O", &|(_, pid)| gain(pid.map(|pid| pid.p), 3)),
                 ("I %/(cmH2O s)", &|(_, pid)| gain(pid.map(|pid| pid.i), 2)),
                 ("D % s/cmH2O", &|(_, pid)| gain(pid.map(|pid| pid.d), 4)),
-                ("error", &|(contestant, pid)| {
+                ("error, cmH2O", &|(contestant, pid)| {
                     Cell::number(contestant.evaluation.mean.score, 3).best_if(pid.is_none() && better)
+                }),
+                ("valve effort, %/s", &|(contestant, _)| {
+                    Cell::number(contestant.evaluation.mean.effort.total_variation, 0)
                 }),
             ],
         );
@@ -55,16 +62,16 @@ impl Demo {
         let text = format!(
             "Error is the mean of |p - target| over each inspiration, for the true airway pressure known only to the \
              bench; rise is from 10 to 90 %, overshoot the highest pressure above PIP, plateau the error \
-             over the last 0.3 s. Both controllers met the same sensor noise ({seeds} seeds, none of them used \
-             for tuning or training). On its learned simulator the controller scored {:.3} cmH2O.",
+             over the last 0.3 s, valve effort how much the command changes per second on the plateau. \
+             Both controllers met the same sensor noise ({seeds} seeds, none of them used for tuning or training). On its learned simulator the controller scored {:.3} cmH2O.",
             self.summary.mean.learned_on_simulator
         );
         Section::new("Result", text, vec![Block::Table(self.summary.table()), Block::Table(rivals)])
     }
 
     fn pressures(&self) -> Section {
-        let breaths = self.pressure("Three breaths", 1, 2, f64::INFINITY);
-        let zooms = (0..TRACED_PIPS.len()).map(|n| self.pressure("One inspiration", n, 0, INSPIRATION_SHOWN));
+        let breaths = self.pressure("Three breaths", 1, f64::INFINITY);
+        let zooms = (0..TRACED_PIPS.len()).map(|n| self.pressure("One inspiration", n, INSPIRATION_SHOWN));
         Section::new(
             "Pressure",
             "True airway pressure against the target: three breaths, then one inspiration at three PIPs.",
@@ -72,31 +79,33 @@ impl Demo {
         )
     }
 
-    /// A traced waveform up to the time `until` in s, under the contestants from `first` on.
-    fn pressure(&self, what: &str, traced: usize, first: usize, until: f64) -> Plot {
+    /// The pressure of a traced waveform up to the time `until` in s, under the best PID and the learned controller.
+    fn pressure(&self, what: &str, traced: usize, until: f64) -> Plot {
         let target = &self.contestants[3].traces[traced];
         let mut series = vec![Series::new("target", Style::Dashed, target.points(&target.target, until))];
-        series.extend(self.contestants[first..].iter().map(|contestant| {
-            let trace = &contestant.traces[traced];
-            Series::new(contestant.name, Style::Line, trace.points(&trace.pressure, until))
-        }));
+        series.extend(self.curves(traced, until, |trace| trace.pressure.clone()));
         let title = format!("{what} at PIP {} cmH2O", TRACED_PIPS[traced]);
-        Plot::new(title, "time, s", "airway pressure, cmH2O", series)
+        Plot::over_time(title, "airway pressure, cmH2O", series)
+    }
+
+    /// The best PID's and the learned controller's values of a traced waveform.
+    fn curves(&self, traced: usize, until: f64, of: fn(&BreathTrace) -> Vec<f64>) -> [Series; 2] {
+        [&self.contestants[2], &self.contestants[3]].map(|contestant| {
+            let trace = &contestant.traces[traced];
+            Series::new(contestant.name, Style::Line, trace.points(&of(trace), until))
+        })
     }
 
     fn valves(&self) -> Section {
-        let plot = |contestant: &Contestant| {
-            let trace = &contestant.traces[1];
-            let series = vec![
-                Series::new("inspiratory", Style::Line, trace.points(&trace.u_in, 2.0)),
-                Series::new("expiratory", Style::Step, trace.points(&trace.u_out_percent(), 2.0)),
-            ];
-            Plot::new(format!("Valves, {}", contestant.name), "time, s", "command, %", series)
-        };
+        let plot =
+            |title: &str, until, of| Plot::over_time(title, "command, %", self.curves(1, until, of).into());
         Section::new(
             "Valves",
-            format!("Commands of both valves at PIP {} cmH2O.", TRACED_PIPS[1]),
-            vec![Block::PlotRow(self.contestants[2..].iter().map(plot).collect())],
+            format!("Commands at PIP {} cmH2O: how each controller reaches its pressure.", TRACED_PIPS[1]),
+            vec![Block::PlotRow(vec![
+                plot("Inspiratory valve, one inspiration", INSPIRATION_SHOWN, |trace| trace.u_in.clone()),
+                plot("Expiratory valve, one breath", BREATH_SHOWN, BreathTrace::u_out_percent),
+            ])],
         )
     }
 
@@ -108,7 +117,10 @@ impl Demo {
         let shown: Vec<&Episode> = held_out.into_iter().step_by(apart).take(PREDICTIONS).collect();
         let period = f64::from(simulator.architecture.timing().period_us) * 1e-6;
         let predictions = shown.iter().zip(predict(simulator, &shown));
-        let plots = predictions.map(|(episode, predicted)| prediction(episode, &predicted, period));
+        let plots = predictions.flat_map(|(episode, predicted)| {
+            let title = format!("Held-out breath, PIP {:.1} cmH2O", episode.pip);
+            prediction::plots(title, &episode.pressure, episode.truth.as_deref(), &predicted, period)
+        });
         let text = format!(
             "Open loop: the simulator sees the start of a held-out breath and the recorded commands, but never the \
              pressure. Its mean distance to the true airway pressure is {:.3} cmH2O.",
@@ -168,15 +180,5 @@ impl Demo {
 
 /// Length of the inspiration shown in the zoomed plots, s.
 const INSPIRATION_SHOWN: f64 = 1.0;
-
-fn prediction(episode: &Episode, predicted: &[f32], period: f64) -> Plot {
-    let curve = |name: &str, values: &[f32]| {
-        let points = values.iter().enumerate().map(|(n, v)| (n as f64 * period, f64::from(*v)));
-        Series::new(name, Style::Line, points.collect())
-    };
-    let mut series = vec![curve("measured", &episode.pressure)];
-    series.extend(episode.truth.as_ref().map(|truth| curve("true", truth)));
-    series.push(curve("simulator", predicted));
-    let title = format!("Held-out breath, PIP {:.1} cmH2O", episode.pip);
-    Plot::new(title, "time, s", "pressure, cmH2O", series)
-}
+/// Length of the breath shown with the expiratory valve, s.
+const BREATH_SHOWN: f64 = 3.0;

@@ -39,10 +39,20 @@ fn every_file_is_written_and_can_be_read_back() {
         serde_json::from_str(&fs::read_to_string(file("summary.json")).unwrap()).unwrap();
     assert_eq!(summary, demo.summary);
     assert_eq!(summary.waveforms.len(), 6);
-    let html = fs::read_to_string(file("report.html")).unwrap();
+    let html = demo.report().to_html().unwrap();
     for heading in ["Result", "Pressure", "Valves", "Learned simulator", "Training"] {
         assert!(html.contains(&format!(">{heading}<")), "{heading}");
     }
+    assert!(
+        html.contains("valve effort, %/s")
+            && html.matches(">Inspiratory valve, one inspiration</text>").count() == 1
+    );
+    let error = html.matches(">simulator - true pressure<").count();
+    assert_eq!(
+        (error, html.contains(">I only</text>")),
+        (3, false),
+        "errors have figures, rivals a row in a table"
+    );
 }
 
 #[test]

@@ -126,7 +126,8 @@ pub fn problems(result: &FarmResult) -> Vec<String> {
 
 /// Everything in one file.
 pub fn report(result: &FarmResult) -> Report {
-    let mut sections = vec![Section::new("Units", SCALE, vec![Block::Table(units(result))])];
+    let mut sections =
+        vec![Section::new("Recordings and calibrations", SCALE, vec![Block::Table(units(result))])];
     let problems = problems(result);
     if !problems.is_empty() {
         sections.push(Section::new("Problems", problems.join("\n\n"), Vec::new()));

@@ -195,30 +195,35 @@ fn highest(series: &[Series]) -> f64 {
 fn tracking_section(tracking: &Tracking) -> Section {
     let plot = |title: &str, y_label: &str, series| Plot::new(title, "time, s", y_label, series);
     let (first, all) = (tracking.controllers.first(), &tracking.controllers);
-    let pressures = |until: f64| {
+    let compared = |name: &str| ["PID", "learned"].contains(&name);
+    let pressures = |until: f64, shown: &dyn Fn(&str) -> bool| {
         let target = first.map(|(_, t)| Series::new("target", Style::Dashed, t.points(&t.target, until)));
         let curve =
             |(name, t): &(String, BreathTrace)| Series::new(name, Style::Line, t.points(&t.pressure, until));
-        target.into_iter().chain(all.iter().map(curve)).collect()
+        target.into_iter().chain(all.iter().filter(|(name, _)| shown(name)).map(curve)).collect()
     };
-    let inspiratory = all.iter().map(|(name, t)| Series::new(name, Style::Line, t.points(&t.u_in, ZOOM_S)));
+    let inspiratory = all
+        .iter()
+        .filter(|(name, _)| compared(name))
+        .map(|(name, t)| Series::new(name, Style::Line, t.points(&t.u_in, ZOOM_S)));
     let expiratory = first.map(|(_, t)| {
         Series::new("expiratory valve", Style::Step, t.points(&t.u_out_percent(), f64::INFINITY))
     });
     Section::new(
         "Tracking",
         format!(
-            "True airway pressure and valve commands on {} under the best P-only, I-only and PID controllers, the \
-             controller trained for this lung and the one trained for all lungs.",
+            "True airway pressure and valve commands on {} under the best PID and the controller trained for this lung. \
+             The last figure adds the best P-only and I-only controllers and the controller trained for all lungs.",
             tracking.lung
         ),
         vec![
-            Block::Plot(plot("Three breaths", "airway pressure, cmH2O", pressures(f64::INFINITY))),
-            Block::Plot(plot("One inspiration", "airway pressure, cmH2O", pressures(ZOOM_S))),
+            Block::Plot(plot("Three breaths", "airway pressure, cmH2O", pressures(f64::INFINITY, &compared))),
+            Block::Plot(plot("One inspiration", "airway pressure, cmH2O", pressures(ZOOM_S, &compared))),
             Block::PlotRow(vec![
                 plot("Inspiratory valve", "opening, %", inspiratory.collect()),
                 plot("Expiratory valve", "opening, %", expiratory.into_iter().collect()),
             ]),
+            Block::Plot(plot("All controllers", "airway pressure, cmH2O", pressures(ZOOM_S, &|_| true))),
         ],
     )
 }
