@@ -75,13 +75,9 @@ def onnx(path):
     inputs = session.get_inputs()
     shapes = [[size if isinstance(size, int) else 1 for size in given.shape] for given in inputs]
     period_us = int(session.get_modelmeta().custom_metadata_map.get("period_us", 0))
-    kinds = [given.type for given in inputs]
-    if any(kind != "tensor(float)" for kind in kinds) or shapes[0][-1] not in (6, 8):
-        raise SystemExit(
-            f"{path}: inputs are {list(zip(kinds, shapes))}, but the policy link gives float32 of shape [1, 6], "
-            "or [1, 8] to a network that learns from breath to breath: export the network so"
-        )
-    names = [given.name for given in inputs]
+    names, kinds = zip(*[(given.name, given.type) for given in inputs])
+    if set(kinds) != {"tensor(float)"} or shapes[0][-1] not in (6, 8):
+        sys.exit(f"{path} takes {kinds[0]} of shape {shapes[0]}: export it with float32 of shape [1, 6] or [1, 8]")
     return Network(lambda values: session.run(None, dict(zip(names, values))), shapes, period_us)
 
 
@@ -138,17 +134,15 @@ def main():
     which.add_argument("--torch", metavar="FILE", help="run this TorchScript or torch.export file")
     parser.add_argument("--port", type=int, help="serve TCP on this port, 0 for any [default: standard input and output]")
     given = parser.parse_args()
-    loaders = [(given.onnx, onnx), (given.torch, torch)]
-    found = [load(path) for path, load in loaders if path]
+    found = [load(path) for path, load in [(given.onnx, onnx), (given.torch, torch)] if path]
     policy = found[0] if found else Pi(float(gain) for gain in given.gains.split(","))
     if given.port is None:
         return serve(policy, sys.stdin.buffer, sys.stdout.buffer)
     server = socket.create_server(("localhost", given.port))
     print("listening on port", server.getsockname()[1], file=sys.stderr, flush=True)
     while True:
-        line = server.accept()[0]
-        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        with line, line.makefile("rwb") as both:
+        with server.accept()[0] as line, line.makefile("rwb") as both:
+            line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             serve(policy, both, both)
 
 

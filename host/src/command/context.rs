@@ -11,7 +11,7 @@ use progress::{Event, Progress};
 use show::report::{Block, Report, Section, Table, duration};
 
 use super::bars::with_bars;
-use super::quoted;
+use super::shell::quoted;
 
 /// Receives the progress of a command, on any thread.
 pub type Observer<'a> = dyn Fn(&Event<'_>) + Send + Sync + 'a;

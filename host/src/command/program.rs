@@ -21,6 +21,7 @@ use super::help::grouped;
 use super::out_file;
 use super::output::{Output, write_json};
 use super::record::{Kept, Place, options};
+use super::shell::quoted;
 use super::{Command, Context, FAILURE, Observer};
 
 /// Environment variable that sets the log level.
@@ -162,17 +163,6 @@ pub(super) fn line<P: Program>(arguments: &[OsString]) -> String {
     P::NAME.to_owned() + &arguments.collect::<String>()
 }
 
-/// A word as a shell takes it: in quotes if it has letters that mean something there.
-pub fn quoted(word: impl AsRef<OsStr>) -> String {
-    let word = word.as_ref().to_string_lossy();
-    let plain = |letter: char| letter.is_alphanumeric() || "-_=+,.:/\\@%".contains(letter);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.into_owned()
-    } else {
-        format!("'{}'", word.replace('\'', "'\\''"))
-    }
-}
-
 /// Whether an argument is a long option without a value.
 fn is_open_option(argument: &OsStr) -> bool {
     argument.to_str().is_some_and(|text| text.len() > 2 && text.starts_with("--") && !text.contains('='))
@@ -255,12 +245,6 @@ mod tests {
         for alone in ["evaluate --json - --out a", "submit -- -1", "fit --seed=1 -1", "judge -1"] {
             assert_eq!(joined(alone), alone);
         }
-    }
-
-    #[test]
-    fn words_are_quoted_where_a_shell_needs_it() {
-        let words = ["out/a-1,2", "two words", "it's", "", "serial:a?baud=9"].map(quoted);
-        assert_eq!(words, ["out/a-1,2", "'two words'", r"'it'\''s'", "''", "'serial:a?baud=9'"]);
     }
 
     #[test]

@@ -108,6 +108,12 @@ impl Table {
         self.header.get(index).map_or("", String::as_str)
     }
 
+    /// Whether the first `columns` cells of the rows are different in each row.
+    pub(super) fn is_named_by(&self, columns: usize) -> bool {
+        let names: Vec<_> = self.rows.iter().map(|row| &row[..columns.min(row.len())]).collect();
+        names.iter().enumerate().all(|(n, name)| !names[..n].contains(name))
+    }
+
     /// Characters of a column's longest cell.
     pub(super) fn widest(&self, index: usize) -> usize {
         let cells = self.rows.iter().filter_map(|row| row.get(index));

@@ -48,9 +48,9 @@ fn draw(table: &Table, styled: bool, width: usize) -> String {
         }
     }
     let column = |index: usize| column(&narrow, small_gap, index);
-    let texts = all.iter().take_while(|index| !table.is_numeric(**index)).count().max(1);
-    let names =
-        (1..=texts).rev().find(|names| (0..*names).map(column).sum::<usize>() <= width / 2).unwrap_or(1);
+    let fits = |names: usize| (0..names).map(column).sum::<usize>() <= width / 2;
+    let named = (1..=all.len()).find(|names| fits(*names) && table.is_named_by(*names));
+    let names = named.unwrap_or(1);
     let blocks = blocks(names, all.len(), column, width);
     let drawn = blocks.iter().map(|columns| block(table, styled, columns, &narrow, small_gap));
     drawn.collect::<Vec<_>>().join("\n\n")
@@ -142,6 +142,18 @@ mod tests {
     #[test]
     fn a_table_that_fits_is_drawn_as_it_is() {
         assert_eq!(table(3).render(false, LINE), table(3).to_plain());
+    }
+
+    #[test]
+    fn rows_of_one_name_keep_the_columns_that_tell_them_apart() {
+        let mut table = table(20);
+        let mut other = table.rows[0].clone();
+        other[1] = Value::number(1.5, 2);
+        table.row(other);
+        let text = table.render(false, LINE);
+        for block in text.split("\n\n") {
+            assert!(block.contains("1.00") && block.contains("1.50"), "{text}");
+        }
     }
 
     #[test]
