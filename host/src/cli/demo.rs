@@ -10,7 +10,7 @@ use shared::breath::{DEFAULT_PERIOD_US, PERIOD_BOUNDS_US};
 use super::qemu::{IMAGES, board};
 use crate::args::bench::BenchArgs;
 use crate::command::bounds::within;
-use crate::command::{Command, Context, Makes, Output, OutputArgs, quoted};
+use crate::command::{Command, Context, Makes, Output, OutputArgs, quoted, write};
 use learn::controller::{EFFORT_PRICE, TrainConfig};
 use learn::pipeline::PipelineConfig;
 use plant::prescriptions::Prescriptions;
@@ -117,6 +117,9 @@ impl Command for Args {
         if !demo.outcome.complete {
             context.line("Stopped early: this is the controller so far. Run the command again to continue.");
         }
+        let picture = self.out.join("one-inspiration.svg");
+        write(&picture, demo.picture()?.as_bytes())?;
+        context.saved(&picture);
         context.report(Some(&self.out.join("report.html")), || {
             let mut report = demo.report();
             report.sections.push(self.next());

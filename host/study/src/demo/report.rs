@@ -7,7 +7,7 @@ use learn::pipeline::Round;
 use learn::simulator::episode::{Episode, episodes, split};
 use learn::simulator::open_loop::predict;
 use score::evaluate::BreathTrace;
-use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
+use show::report::{Block, Cell, Plot, Report, ReportError, Section, Series, Style, Table};
 
 /// Number of held-out breaths whose prediction is shown.
 const PREDICTIONS: usize = 3;
@@ -67,6 +67,14 @@ impl Demo {
             self.summary.mean.learned_on_simulator
         );
         Section::new("Result", text, vec![Block::Table(self.summary.table()), Block::Table(rivals)])
+    }
+
+    /// One inspiration under the best PID and the learned controller, as an SVG document.
+    ///
+    /// # Errors
+    /// A pressure that is not finite.
+    pub fn picture(&self) -> Result<String, ReportError> {
+        self.pressure("One inspiration", 1, INSPIRATION_SHOWN).to_svg()
     }
 
     fn pressures(&self) -> Section {
