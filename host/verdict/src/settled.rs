@@ -49,7 +49,8 @@ mod tests {
     fn noise_around_a_setting_is_one_setting_and_a_step_is_another() {
         let levels = [5.1, 4.9, 5.3, 10.2, 5.0, 10.0];
         let settled = Settled::measured(levels.into_iter());
-        assert_eq!(levels.map(|level| settled.setting(level)), [5.1, 5.1, 5.1, 10.1, 5.1, 10.1]);
+        let settings = levels.map(|level| format!("{:.1}", settled.setting(level)));
+        assert_eq!(settings, ["5.1", "5.1", "5.1", "10.1", "5.1", "10.1"]);
     }
 
     #[test]

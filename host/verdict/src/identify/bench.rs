@@ -55,7 +55,8 @@ fn resistor(behind: &BehindCircuit) -> (f64, f64) {
 pub fn to_toml(bench: &BenchConfig, lung: &Identified) -> String {
     let behind = &lung.behind_circuit;
     let estimate = |e: &super::Estimate| format!("{:.2} ({:.2} to {:.2})", e.value, e.low, e.high);
-    let remarks: String = lung.remarks.iter().map(|remark| format!("# Beware: {remark}.\n")).collect();
+    let remarks: Vec<_> = lung.remarks.iter().map(|remark| format!("# Beware: {remark}.\n")).collect();
+    let remarks = remarks.concat();
     format!(
         "{remarks}# Lung {}, identified by `trainer identify` from {} breaths; estimates with their 95 % intervals.\n\
          # C {} mL/cmH2O, R {} cmH2O/(L/s), R2 {} cmH2O/(L/s)^2, residual {:.2} cmH2O.\n\
