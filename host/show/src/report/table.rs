@@ -1,9 +1,11 @@
 //! Tables for the terminal, HTML and Markdown from one description.
 
+use std::collections::HashSet;
+
 use super::text::escape;
 
 /// One cell.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct Cell {
     text: String,
     numeric: bool,
@@ -110,8 +112,8 @@ impl Table {
 
     /// Whether the first `columns` cells of the rows are different in each row.
     pub(super) fn is_named_by(&self, columns: usize) -> bool {
-        let names: Vec<_> = self.rows.iter().map(|row| &row[..columns.min(row.len())]).collect();
-        names.iter().enumerate().all(|(n, name)| !names[..n].contains(name))
+        let mut names = HashSet::new();
+        self.rows.iter().all(|row| names.insert(&row[..columns.min(row.len())]))
     }
 
     /// Characters of a column's longest cell.
