@@ -12,6 +12,7 @@ mod exact;
 pub mod record;
 pub mod shards;
 mod share;
+pub mod shell;
 #[cfg(test)]
 mod tests;
 mod threads;

@@ -1,6 +1,9 @@
 //! A device at a port in place of the bench.
 
+use std::ffi::OsStr;
+
 use anyhow::{Context, bail};
+use campaign::shell::quoted;
 use shared::link::messages::DeviceIdentity;
 
 use super::controller::Chosen;
@@ -45,4 +48,18 @@ pub fn warn_of_development_build(identity: &DeviceIdentity) {
             "warning: this device runs a development build, which accepts unsigned weights: build its firmware with a key (`trainer keys --help`)"
         );
     }
+}
+/// A device's usual address, for examples.
+pub const USUAL: &str = "/dev/ttyACM0";
+
+/// Next steps with a weights image and the device at an address: to load it, and to watch the device.
+pub fn load_and_watch(weights: impl AsRef<OsStr>, port: &str) -> [(&'static str, String); 2] {
+    let port = quoted(port);
+    [
+        (
+            "Load it into the device, which has this project's firmware and is connected to a test lung:",
+            format!("trainer flash {} --port {port}", quoted(weights)),
+        ),
+        ("Watch that device in a browser:", format!("trainer serve --port {port}")),
+    ]
 }

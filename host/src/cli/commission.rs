@@ -11,11 +11,12 @@ use shared::control::residual::Residual;
 use super::train::{CONTROLLER, ResultArgs};
 use crate::args::controller::{Chosen, learned};
 use crate::args::gains::{format_gains, gains};
+use crate::args::port::{USUAL, load_and_watch};
 use crate::args::settings::SettingsArgs;
 use crate::args::source::SourceArgs;
 use crate::args::waveforms::pips;
 use crate::command::bounds::{some, within};
-use crate::command::{Command, Context, Makes, Output, quoted};
+use crate::command::{Command, Context, Makes, Output};
 use data::recording::Recording;
 use data::workspace::Workspace;
 use learn::controller::CurvePoint;
@@ -226,15 +227,11 @@ impl Args {
         learned.save(&controller)?;
         context.saved(&controller);
         let (weights, weights_id) = self.result.packed(&learned, context)?;
-        let port = self.source.port.port.as_ref().map_or("/dev/ttyACM0".into(), ToString::to_string);
-        let flash = format!("trainer flash {} --port {}", quoted(&weights), quoted(&port));
+        let port = self.source.port.port.as_ref().map_or(USUAL.into(), ToString::to_string);
+        let next = load_and_watch(&weights, &port);
         let mut sections = sections(figures, comparison, winner, &curve);
         if !worse {
-            let serve = format!("trainer serve --port {}", quoted(&port));
-            sections.push(Section::next(&[
-                ("Load it into the device:", flash.clone()),
-                ("Watch the device in a browser:", serve),
-            ]));
+            sections.push(Section::next(&next));
         }
         let report = Report {
             title: "Commissioning".into(),
@@ -244,7 +241,7 @@ impl Args {
         };
         context.report(Some(&self.result.out.join(REPORT)), || Ok(report))?;
         if !worse {
-            context.line(&format!("Flash it with: {flash}"));
+            context.line(&format!("Flash it with: {}", next[0].1));
         }
         Ok(Summary {
             seed: self.result.seed,

@@ -9,6 +9,7 @@ use shared::breath::{DEFAULT_PERIOD_US, PERIOD_BOUNDS_US};
 #[cfg(unix)]
 use super::qemu::{IMAGES, board};
 use crate::args::bench::BenchArgs;
+use crate::args::port::{USUAL, load_and_watch};
 use crate::command::bounds::within;
 use crate::command::{Command, Context, Makes, Output, OutputArgs, quoted, write};
 use learn::controller::{EFFORT_PRICE, TrainConfig};
@@ -131,18 +132,15 @@ impl Command for Args {
 
 impl Args {
     fn next(&self) -> Section {
-        let file = |name: &str| quoted(self.out.join(name));
-        let (controller, weights) = (file("controller.safetensors"), file("weights.bin"));
+        let controller = quoted(self.out.join("controller.safetensors"));
+        let [load, watch] = load_and_watch(self.out.join("weights.bin"), USUAL);
         Section::next(&[
             (
                 "Compare the controller with its PID on another lung:",
                 format!("trainer evaluate --controller {controller} --bench R50C10 --report evaluation.html"),
             ),
-            (
-                "Load it into a device that has this project's firmware and is connected to a test lung:",
-                format!("trainer flash {weights} --port /dev/ttyACM0"),
-            ),
-            ("Watch that device in a browser:", "trainer serve --port /dev/ttyACM0".into()),
+            load,
+            watch,
             (
                 "Watch simulated devices, each lung with a PID and with a learned controller:",
                 "trainer serve --demo".into(),

@@ -12,7 +12,7 @@ use super::breathing::{Summary as BreathingSummary, table as breathing_table};
 use super::comparison::table;
 use crate::args::controller::{Chosen, ControllerArgs};
 use crate::args::gains::{format_gains, gains};
-use crate::args::port::source as device_source;
+use crate::args::port::{USUAL, load_and_watch, source as device_source};
 use crate::args::source::SourceArgs;
 use crate::args::waveforms::WaveformsArgs;
 use crate::command::bounds::{some, within};
@@ -404,16 +404,17 @@ fn next(chosen: &Chosen, context: &Context<'_>) -> Option<Section> {
         let train = format!("trainer train{bench} --gains {gains} --out out/controller");
         return Some(Section::next(&[("Learn a controller that adds to this PID:", train)]));
     }
-    let image = format!("trainer export {} --out weights.bin", quoted(&chosen.name));
+    let image = format!("trainer export {} --out {WEIGHTS}", quoted(&chosen.name));
+    let [load, watch] = load_and_watch(WEIGHTS, USUAL);
     Some(Section::next(&[
         ("Write the controller as the weights image that a device loads:", image),
-        ("Load it into a device that is connected to a test lung:", FLASH.into()),
-        ("Watch the device in a browser:", "trainer serve --port /dev/ttyACM0".into()),
+        load,
+        watch,
     ]))
 }
 
-/// Loads the exported weights.
-const FLASH: &str = "trainer flash weights.bin --port /dev/ttyACM0";
+/// File of the weights image in the next steps.
+const WEIGHTS: &str = "weights.bin";
 
 /// One breath of a waveform: pressures and valves.
 fn curves(setup: &Setup, bench: &BenchConfig, title: &str, settings: &Settings) -> anyhow::Result<Section> {

@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use campaign::record::Options;
+use campaign::shell::quoted;
 use progress::{Event, Progress};
 use show::report::{Block, Report, Section, Table, duration};
 
 use super::bars::with_bars;
-use super::shell::quoted;
 
 /// Receives the progress of a command, on any thread.
 pub type Observer<'a> = dyn Fn(&Event<'_>) + Send + Sync + 'a;

@@ -13,15 +13,14 @@ mod out_file;
 mod output;
 mod program;
 mod record;
-mod shell;
 
 use serde::Serialize;
 
+pub use campaign::shell::quoted;
 pub use context::{Context, Observer};
 pub use out_file::{ForceArgs, OutFile};
 pub use output::{Makes, Output, OutputArgs, write, write_json};
 pub use program::{Done, Failure, Program, Runnable, main};
-pub use shell::quoted;
 
 /// Exit status of a command that failed.
 pub const FAILURE: u8 = 1;

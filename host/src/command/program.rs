@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use anyhow::Error;
 use campaign::record::{Ending, Results};
+use campaign::shell::quoted;
 use clap::{ArgMatches, Parser};
 use serde::Serialize;
 use tracing_subscriber::filter::{LevelFilter, Targets};
@@ -21,7 +22,6 @@ use super::help::grouped;
 use super::out_file;
 use super::output::{Output, write_json};
 use super::record::{Kept, Place, options};
-use super::shell::quoted;
 use super::{Command, Context, FAILURE, Observer};
 
 /// Environment variable that sets the log level.

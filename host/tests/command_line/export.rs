@@ -28,6 +28,7 @@ fn a_controller_is_exported_with_the_steps_of_ten_lessons() {
 fn a_simulator_is_exported_with_a_breath() {
     let place = Place::new();
     let data = place.collected();
+    assert!(place.ok(&format!("fit {data} --epochs 3")).contains("the simulator is not kept: --out"));
     place.ok(&format!("fit {data} --epochs 3 --out a.safetensors"));
     let said = place.ok("export a.safetensors --out a.onnx --check a.json");
     assert!(said.contains("saved a.onnx: simulator, ") && said.contains("saved a.json"), "{said}");

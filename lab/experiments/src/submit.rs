@@ -17,6 +17,7 @@ use thiserror::Error;
 use campaign::WorkspaceError;
 use campaign::record::Ending;
 use campaign::shards::{RunFolder, ShardState};
+use campaign::shell::quoted;
 use data::files::write_atomically;
 
 /// Tasks of an engine: shards.
@@ -175,12 +176,6 @@ impl Job {
             Some((_, host)) => format!("shard {shard} was killed on {host} (see {})", log.display()),
         }
     }
-}
-
-/// A word as a shell reads it back.
-fn quoted(word: &str) -> String {
-    // A word with a zero byte cannot be an argument of any command.
-    shlex::try_quote(word).map_or_else(|_| String::new(), std::borrow::Cow::into_owned)
 }
 
 /// Runs a program of the engine.

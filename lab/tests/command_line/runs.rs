@@ -62,7 +62,10 @@ fn runs_are_compared_plotted_and_reported() {
     let page = fs::read_to_string(place.path("runs.html")).unwrap();
     assert_eq!(page.matches("Runs").count(), 2, "the title and the heading");
     fs::create_dir(place.path("empty")).unwrap();
+    fs::create_dir(place.path("damaged")).unwrap();
+    fs::write(place.path("damaged/made-by.json"), "{").unwrap();
     for (line, reason) in [
+        ("runs damaged", "damaged contains no record of a run that can be read"),
         ("runs empty", "contains no runs: commands with --out leave a made-by.json"),
         ("runs nowhere", "cannot read nowhere"),
         ("runs out --figure score", "no run has a figure or a curve score: choose among"),

@@ -26,6 +26,9 @@ pub fn quantum(values: &[f32]) -> f64 {
     sum / count
 }
 
+/// Ratio of the standard deviation to the median absolute deviation of a normal variable.
+pub const SD_PER_DEVIATION: f64 = 1.482_602;
+
 /// Standard deviation of the white noise in a series.
 pub fn noise(values: &[f32]) -> f64 {
     let mut bends: Vec<f32> = values.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
@@ -36,11 +39,9 @@ pub fn noise(values: &[f32]) -> f64 {
 ///
 /// Second differences ignore slopes; the median ignores the rises.
 pub fn noise_of_second_differences(second_differences: &mut [f32]) -> f64 {
-    /// Ratio of standard deviation to median absolute value of a normal variable.
-    const NORMAL: f64 = 1.482_602;
     /// Ratio of a second difference's standard deviation to the noise's: root of 1 + 4 + 1.
     const SECOND_DIFFERENCE: f64 = 2.449_490;
     second_differences.sort_by(f32::total_cmp);
     let median = second_differences.get(second_differences.len() / 2).copied().unwrap_or(0.0);
-    NORMAL * f64::from(median) / SECOND_DIFFERENCE
+    SD_PER_DEVIATION * f64::from(median) / SECOND_DIFFERENCE
 }

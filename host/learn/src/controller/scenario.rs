@@ -244,6 +244,15 @@ mod tests {
     use rand_chacha::rand_core::SeedableRng;
 
     #[test]
+    fn the_price_of_moving_the_valve_is_that_of_the_training() {
+        let config = TrainConfig { effort_price: 0.03, ..TrainConfig::default() };
+        let rng = &mut ChaCha8Rng::seed_from_u64(7);
+        let waveforms = Waveforms::usual(&config, 5.0, 1e-3, rng);
+        let drawn = Scenario::draw(&config, &waveforms, 0.1, rng);
+        assert_eq!(drawn.effort_price.to_bits(), 0.03_f32.to_bits());
+    }
+
+    #[test]
     fn efforts_change_no_other_draw() {
         let passive = TrainConfig::default();
         let breathing = TrainConfig { efforts: Some(EffortConfig::default()), ..passive.clone() };

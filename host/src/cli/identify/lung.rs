@@ -159,7 +159,10 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
         text: "P = P0 + V/C + R q + R2 q|q|, fitted to each whole breath; intervals come from the spread between \
                breaths. The offset is the mean net flow over a breath, which is removed."
                     .into(),
-                blocks: vec![Block::Table(table(found)), Block::Table(behind_circuit(found))],
+                blocks: [Block::Table(table(found)), Block::Table(behind_circuit(found))]
+                    .into_iter()
+                    .chain(remarks(found).into_iter().map(Block::Text))
+                    .collect(),
             },
             Section {
                 heading: "One breath of each lung".into(),

@@ -35,6 +35,7 @@ use thiserror::Error;
 use self::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan};
 use data::identity::TestRun;
 use data::recording::Recording;
+use data::recording::quality::SD_PER_DEVIATION;
 use engine::least_squares::{Solution, student};
 
 /// Length of a cycle as a share of its lung's usual one, below which it counts as cut off by a gap.
@@ -42,8 +43,6 @@ const LEAST_CYCLE: f64 = 0.9;
 /// Distance of a breath's elastance from the median, in standard deviations of the other breaths and as a share, from
 /// which on the breath is odd and left out.
 const ODD: (f64, f64) = (5.0, 0.1);
-/// Ratio of standard deviation to median absolute deviation of a normal variable.
-const NORMAL: f64 = 1.482_602;
 /// Compliances of the circuit that are tried, mL/cmH2O: their number and spacing.
 const CIRCUITS: (usize, f64) = (81, 0.05);
 
@@ -222,7 +221,7 @@ fn without_odd(cycles: &[(Range<usize>, Cycle)]) -> Vec<(Range<usize>, Cycle)> {
     let elastance = |cycle: &Cycle| Some(cycle.fit(FitSpan::Cycle, Drift::Corrected, 0.0)?.coefficients[1]);
     let known: Vec<f64> = cycles.iter().filter_map(|(_, cycle)| elastance(cycle)).collect();
     let middle = median(known.clone());
-    let spread = NORMAL * median(known.iter().map(|value| (value - middle).abs()).collect());
+    let spread = SD_PER_DEVIATION * median(known.iter().map(|value| (value - middle).abs()).collect());
     let most = (ODD.0 * spread).max(ODD.1 * middle.abs());
     let odd = |cycle: &Cycle| elastance(cycle).is_some_and(|value| (value - middle).abs() > most);
     cycles.iter().filter(|(_, cycle)| !odd(cycle)).cloned().collect()

@@ -11,6 +11,8 @@ const MOST_RESIDUAL: f64 = 3.0;
 const SOUND_RESIDUAL: f64 = 0.04;
 /// Residual with a shift, as a share of the residual without, below which the shift explains the recording better.
 const EXPLAINS: f64 = 0.7;
+/// The same where R2 is negative already, which a late flow does: any clear fall decides.
+const EXPLAINS_NEGATIVE: f64 = 0.95;
 /// The same with a leak, whose own interval decides first: what is no leak changes the residual by a hundredth.
 const LEAK_EXPLAINS: f64 = 0.95;
 /// Farthest shift between flow and pressure that is tried, s.
@@ -32,10 +34,13 @@ const NEGATIVE_DROP: f64 = 0.1;
 
 /// What to know about a lung's estimates, in words; nothing if they can be believed.
 pub(super) fn remarks(lung: &LungCycles, found: &Identified, recording: &Recording) -> Vec<String> {
+    let (shift, negative) = (best_shift(lung), negative_resistance(found));
+    let named = |share: f64| shift.as_ref().and_then(|shift| late_flow(shift, share));
     // A cause, where one is found, stands for what it makes of the residual.
-    let cause = late_flow(lung)
+    let cause = named(EXPLAINS)
         .or_else(|| leak(lung, found))
-        .or_else(|| negative_resistance(found))
+        .or_else(|| negative.is_some().then(|| named(EXPLAINS_NEGATIVE)).flatten())
+        .or(negative)
         .or_else(|| large_residual(found, &recording.pressure[lung.rows()]));
     let found = [few_breaths(found), coarse(found, recording.provenance.period_s()), cause];
     found.into_iter().flatten().collect()
@@ -81,8 +86,15 @@ fn coarse(found: &Identified, period_s: f64) -> Option<String> {
     })
 }
 
-/// Whether a shift of the flow against the pressure lowers the residual, whatever the circuit takes.
-fn late_flow(lung: &LungCycles) -> Option<String> {
+/// The shift of the flow against the pressure with the smallest residual, whatever the circuit takes.
+struct Shift {
+    /// Delay of the flow, s.
+    delay_s: f64,
+    /// Residual without the shift and with it, cmH2O.
+    residuals: (f64, f64),
+}
+
+fn best_shift(lung: &LungCycles) -> Option<Shift> {
     let cycles: Vec<&Cycle> = spread(&lung.breaths).map(|(_, cycle)| cycle).collect();
     let period_s = cycles.first()?.period_s();
     let residual = |rows: i32| {
@@ -93,18 +105,22 @@ fn late_flow(lung: &LungCycles) -> Option<String> {
         });
         residuals.into_iter().fold(f64::INFINITY, f64::min)
     };
-    let unshifted = residual(0);
     let most = (MOST_SHIFT_S / period_s) as i32;
     let step = (SHIFT_STEP_S / period_s).ceil() as usize;
     let shifts = (-most..=most).step_by(step).map(|rows| (rows, residual(rows)));
     let (rows, least) = shifts.min_by(|a, b| a.1.total_cmp(&b.1))?;
-    let delay_s = f64::from(rows) * period_s;
-    (delay_s.abs() >= LEAST_SHIFT_S && least < EXPLAINS * unshifted).then(|| {
-        let side = if rows > 0 { "late" } else { "early" };
+    Some(Shift { delay_s: f64::from(rows) * period_s, residuals: (residual(0), least) })
+}
+
+/// The remark on a shift that leaves at most this share of the residual.
+fn late_flow(shift: &Shift, share: f64) -> Option<String> {
+    let (before, after) = shift.residuals;
+    (shift.delay_s.abs() >= LEAST_SHIFT_S && after < share * before).then(|| {
+        let side = if shift.delay_s > 0.0 { "late" } else { "early" };
         format!(
-            "the flow is about {:.0} ms {side}: with that shift the residual falls from {unshifted:.2} to {least:.2} \
+            "the flow is about {:.0} ms {side}: with that shift the residual falls from {before:.2} to {after:.2} \
              cmH2O; shift the flow's column and identify again",
-            1e3 * delay_s.abs(),
+            1e3 * shift.delay_s.abs(),
         )
     })
 }

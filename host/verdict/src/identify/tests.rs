@@ -49,6 +49,16 @@ fn identified(config: &BenchConfig, offset: f32) -> Identified {
     identify(&record(config, 4, 35.0, offset)).unwrap().remove(0)
 }
 
+/// Whether the compliance of circuit and lung, and the drop at the flow of the inspirations, are those of this lung; R and
+/// R2 individually are less certain.
+fn is_right(found: &BehindCircuit, resistance: f64, compliance: f64) -> bool {
+    let sum = found.compliance.value + found.circuit_compliance;
+    let q = found.inspiratory_flow;
+    let drop = found.resistance.value * q + found.turbulence.value * q * q;
+    let expected = resistance * q * (1.0 + 0.1 * q);
+    (sum / (compliance + 1.5) - 1.0).abs() < 0.08 && (drop - expected).abs() < 0.1 * expected + 0.15
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
@@ -57,17 +67,11 @@ proptest! {
         resistance in 5.0..50.0, compliance in 10.0..50.0, offset in -0.03_f32..0.03
     ) {
         let found = identified(&lung(resistance, compliance), offset).behind_circuit;
-        let sum = found.compliance.value + found.circuit_compliance;
-        prop_assert!((sum / (compliance + 1.5) - 1.0).abs() < 0.08, "{found:?}");
+        prop_assert!(is_right(&found, resistance, compliance), "{found:?}");
         // Behind a low resistance, lung and circuit cannot be distinguished.
         if resistance > 15.0 {
             prop_assert!((found.circuit_compliance - 1.5).abs() < 0.7, "{found:?}");
         }
-        // The drop at the flow of the inspirations; R and R2 individually are less certain.
-        let q = found.inspiratory_flow;
-        let drop = found.resistance.value * q + found.turbulence.value * q * q;
-        let expected = resistance * q * (1.0 + 0.1 * q);
-        prop_assert!((drop - expected).abs() < 0.1 * expected + 0.15, "{drop} {expected} {found:?}");
     }
 }
 
@@ -188,16 +192,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
     #[test]
-    fn a_sound_recording_has_no_remark_and_a_late_flow_that_matters_has(
+    fn a_sound_recording_has_no_remark_and_one_whose_late_flow_makes_it_wrong_has(
         resistance in 5.0..50.0, compliance in 10.0..50.0, offset in -0.03_f32..0.03, late in 15_usize..60
     ) {
         let sound = record(&lung(resistance, compliance), 4, 35.0, offset);
         prop_assert_eq!(remarks(&sound), "");
-        let late_flow = with_late_flow(sound.clone(), late);
-        let [now, before] = [&late_flow, &sound].map(|recording| identify(recording).unwrap().remove(0));
-        let change = now.behind_circuit.compliance.value / before.behind_circuit.compliance.value - 1.0;
-        let text = now.remarks.join("\n");
-        prop_assert!(change.abs() < 0.12 || text.contains(" ms late"), "{} {} {} {} {:?}", resistance, compliance, late, text, now);
+        let found = identify(&with_late_flow(sound, late)).unwrap().remove(0);
+        let right = is_right(&found.behind_circuit, resistance, compliance);
+        prop_assert!(right || !found.remarks.is_empty(), "{} {} {} {:?}", resistance, compliance, late, found);
     }
 
     #[test]
@@ -213,6 +215,17 @@ proptest! {
         let named = text.split("with it C is ").nth(1).and_then(|rest| rest.split(' ').next());
         let named: f64 = named.unwrap_or_else(|| panic!("{text}")).parse().unwrap();
         prop_assert!((named / compliance - 1.0).abs() < 0.1, "{} {} {} {}", resistance, compliance, leak, text);
+    }
+}
+
+#[test]
+fn a_late_flow_is_named_with_its_delay() {
+    let sound = record(&lung(20.0, 20.0), 4, 35.0, 0.0);
+    for late in [20, 32, 48] {
+        let text = remarks(&with_late_flow(sound.clone(), late));
+        let named = text.split("the flow is about ").nth(1).and_then(|rest| rest.split(" ms late").next());
+        let named: f64 = named.unwrap_or_else(|| panic!("{late}: {text}")).parse().unwrap();
+        assert!((named - late as f64).abs() <= 8.0, "{late}: {text}");
     }
 }
 

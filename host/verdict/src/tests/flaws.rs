@@ -226,6 +226,23 @@ fn without_set_points_nothing_is_said_about_errors() {
 }
 
 #[test]
+fn without_set_points_equal_breaths_are_one_setting_although_no_two_measurements_are_equal() {
+    let mut recording = Build::default().recording();
+    let breaths = recording.breaths();
+    assert!(breaths.len() > 1);
+    for (n, rows) in breaths.into_iter().enumerate() {
+        let off = 0.1 * n as f32;
+        recording.pip[rows.clone()].iter_mut().for_each(|pip| *pip += off);
+        recording.peep[rows].iter_mut().for_each(|peep| *peep -= off);
+    }
+    let lungs =
+        |recording: &Recording| judge(recording, Judged::True, &Limits::default()).unwrap().lungs.len();
+    assert!(lungs(&recording) > 1, "set-points stand for themselves");
+    recording.provenance.notes.push(NO_SET_POINT.to_owned());
+    assert_eq!(lungs(&recording), 1);
+}
+
+#[test]
 fn the_true_pressure_is_judged_unless_it_is_absent_or_unwanted() {
     let build = Build {
         extras: &[Extra::PressureTrue],

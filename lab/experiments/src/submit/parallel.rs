@@ -11,6 +11,7 @@ use progress::Progress;
 
 use super::{Job, SubmitError, THREADS};
 use campaign::WorkspaceError;
+use campaign::shell::quoted;
 
 /// What to do without GNU parallel.
 const HINT: &str = "install GNU parallel (Debian: apt-get install parallel)";
@@ -51,7 +52,7 @@ impl Parallel {
     /// The command lines: of all shards, then of the merge.
     pub fn script(&self, job: &Job) -> String {
         let threads = format!("{THREADS}=\"${{{THREADS}:-{}}}\"", self.threads());
-        let words: Vec<_> = self.arguments(job).iter().map(|word| super::quoted(word)).collect();
+        let words: Vec<_> = self.arguments(job).iter().map(quoted).collect();
         let last = job.shards - 1;
         let (words, merge) = (words.join(" "), job.merge_line());
         format!("#!/bin/sh\nseq 0 {last} | {threads} parallel {words}\n{merge}\n")

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 use progress::Progress;
 use serde::{Deserialize, Serialize};
 
-use super::{Job, SubmitError, THREADS, answer, quoted, run, text};
+use super::{Job, SubmitError, THREADS, answer, run, text};
+use campaign::shell::quoted;
 use data::workspace::Workspace;
 
 /// What to do without Slurm.
@@ -46,7 +47,7 @@ impl Slurm {
              #SBATCH --open-mode=append\n{}{}exec {}\n",
             job.arguments.first().map_or("", String::as_str),
             ranges(shards),
-            quoted(&text(&job.log().join("%a.txt"))),
+            quoted(job.log().join("%a.txt")),
             self.options(),
             threads(),
             job.shard_line("\"$SLURM_ARRAY_TASK_ID\""),
@@ -58,11 +59,11 @@ impl Slurm {
         format!(
             "#!/bin/sh\n#SBATCH --job-name=eupnea-merge\n#SBATCH --output={}\n#SBATCH --requeue\n{}{}{}\nstatus=$?\n\
              echo $status >{}\nexit $status\n",
-            quoted(&text(&job.merge_log())),
+            quoted(job.merge_log()),
             self.options(),
             threads(),
             job.merge_line(),
-            quoted(&text(&job.merge_status())),
+            quoted(job.merge_status()),
         )
     }
 

@@ -231,6 +231,9 @@ fn every_failure_of_the_link_leaves_the_pid_and_is_named_with_its_place() {
         let failure = account.failure.unwrap();
         assert_eq!((failure.run, failure.breath, failure.tick), (1, 1, 210), "{failure:?}");
         assert!(failure.what.contains(told), "{}", failure.what);
+        // More time helps only a policy that is still there.
+        let waits = failure.what.contains("--policy-timeout");
+        assert_eq!(waits, failure.what.contains("bytes arrived"), "{}", failure.what);
         assert_eq!((account.breaths, account.ticks), (4, 4000));
         assert!(account.commanded > 1100 && account.commanded <= 1210, "{}", account.commanded);
         assert!(account.pid > 2700, "{}", account.pid);
