@@ -11,7 +11,7 @@ const MOST_RESIDUAL: f64 = 3.0;
 const SOUND_RESIDUAL: f64 = 0.04;
 /// Residual with a shift, as a share of the residual without, below which the shift explains the recording better.
 const EXPLAINS: f64 = 0.7;
-/// The same where R2 is negative already, which a late flow does: any clear fall decides.
+/// The same where R2 is negative already, which a late flow does and an early one does not: any clear fall decides.
 const EXPLAINS_NEGATIVE: f64 = 0.95;
 /// The same with a leak, whose own interval decides first: what is no leak changes the residual by a hundredth.
 const LEAK_EXPLAINS: f64 = 0.95;
@@ -36,10 +36,11 @@ const NEGATIVE_DROP: f64 = 0.1;
 pub(super) fn remarks(lung: &LungCycles, found: &Identified, recording: &Recording) -> Vec<String> {
     let (shift, negative) = (best_shift(lung), negative_resistance(found));
     let named = |share: f64| shift.as_ref().and_then(|shift| late_flow(shift, share));
+    let late = shift.as_ref().is_some_and(|shift| shift.delay_s > 0.0);
     // A cause, where one is found, stands for what it makes of the residual.
     let cause = named(EXPLAINS)
         .or_else(|| leak(lung, found))
-        .or_else(|| negative.is_some().then(|| named(EXPLAINS_NEGATIVE)).flatten())
+        .or_else(|| (late && negative.is_some()).then(|| named(EXPLAINS_NEGATIVE)).flatten())
         .or(negative)
         .or_else(|| large_residual(found, &recording.pressure[lung.rows()]));
     let found = [few_breaths(found), coarse(found, recording.provenance.period_s()), cause];

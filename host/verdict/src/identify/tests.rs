@@ -230,6 +230,29 @@ fn a_late_flow_is_named_with_its_delay() {
 }
 
 #[test]
+fn a_resistance_that_falls_with_the_flow_is_none() {
+    let mut recording = record(&lung(20.0, 20.0), 4, 35.0, 0.0);
+    for flow in [&mut recording.flow_in, &mut recording.flow_out].into_iter().flatten() {
+        for q in flow.iter_mut() {
+            *q = 2.0 * *q * q.abs();
+        }
+    }
+    assert!(remarks(&recording).contains("R2 is negative"), "{}", remarks(&recording));
+}
+
+#[test]
+fn what_no_cause_explains_is_named_by_its_residual() {
+    let mut recording = record(&lung(20.0, 20.0), 4, 35.0, 0.0);
+    // The test lung is shaken while it rests: a pressure that no flow makes.
+    let rests = |row: usize| row as u32 % TICKS > TICKS / 2;
+    // Whole cycles, so that neither the mean nor the offset moves.
+    let shake = |row: usize| 1.5 * (row as f32 * std::f32::consts::TAU * 2.0 / (TICKS / 2) as f32).sin();
+    let pressures = recording.pressure.iter_mut().enumerate();
+    pressures.filter(|(row, _)| rests(*row)).for_each(|(row, pressure)| *pressure += shake(row));
+    assert!(remarks(&recording).contains("far above the pressure's noise"), "{}", remarks(&recording));
+}
+
+#[test]
 fn a_sample_period_beside_a_short_time_constant_is_named() {
     let fine = record(&lung(5.0, 10.0), 4, 35.0, 0.0);
     let mut coarse =
