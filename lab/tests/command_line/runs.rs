@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use super::support::Place;
+use super::support::{Place, text};
 
 /// Two short trainings and two torture runs.
 fn four_runs() -> Place {
@@ -62,10 +62,7 @@ fn runs_are_compared_plotted_and_reported() {
     let page = fs::read_to_string(place.path("runs.html")).unwrap();
     assert_eq!(page.matches("Runs").count(), 2, "the title and the heading");
     fs::create_dir(place.path("empty")).unwrap();
-    fs::create_dir(place.path("damaged")).unwrap();
-    fs::write(place.path("damaged/made-by.json"), "{").unwrap();
     for (line, reason) in [
-        ("runs damaged", "damaged contains no record of a run that can be read"),
         ("runs empty", "contains no runs: commands with --out leave a made-by.json"),
         ("runs nowhere", "cannot read nowhere"),
         ("runs out --figure score", "no run has a figure or a curve score: choose among"),
@@ -74,6 +71,12 @@ fn runs_are_compared_plotted_and_reported() {
     ] {
         assert!(place.refused(line).contains(reason), "{line}");
     }
+    fs::create_dir(place.path("damaged")).unwrap();
+    fs::write(place.path("damaged/made-by.json"), "{").unwrap();
+    let told = place.run("runs damaged");
+    let stderr = text(&told.stderr);
+    assert_eq!(told.status.code(), Some(1), "{stderr}");
+    assert!(stderr.ends_with("error: damaged contains no record of a run that can be read\n"), "{stderr}");
 }
 
 #[test]
