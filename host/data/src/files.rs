@@ -11,6 +11,31 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+/// Free space without which no work begins, bytes.
+pub const ROOM: u64 = 1 << 20;
+
+/// Checks that the disk of a path, which need not exist yet, has this many free bytes.
+///
+/// # Errors
+/// [`ErrorKind::StorageFull`], with both numbers; or the file system's own error.
+pub fn check_room(path: &Path, bytes: u64) -> io::Result<()> {
+    let path = in_whole(path);
+    let Some(folder) = path.ancestors().find(|folder| folder.is_dir()) else { return Ok(()) };
+    let space = fs4::statvfs(folder)?;
+    // A file system without a size of its own, as some on a network, tells nothing.
+    if space.total_space() == 0 || space.available_space() >= bytes {
+        return Ok(());
+    }
+    let megabytes = |bytes: u64| bytes as f64 / 1e6;
+    let reason = format!(
+        "the disk of {} has {:.1} MB free, and {:.1} MB are needed: free some space, or choose another disk",
+        folder.display(),
+        megabytes(space.available_space()),
+        megabytes(bytes)
+    );
+    Err(io::Error::new(ErrorKind::StorageFull, reason))
+}
+
 /// Where the content of a path goes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
@@ -239,6 +264,17 @@ fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn room_is_checked_on_the_disk_of_a_path_that_does_not_exist_yet() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a/b/file.txt");
+        check_room(&path, 1).unwrap();
+        let refused = check_room(&path, u64::MAX).unwrap_err();
+        assert_eq!(refused.kind(), ErrorKind::StorageFull);
+        let told = refused.to_string();
+        assert!(told.contains(&*folder.path().to_string_lossy()) && told.contains(" MB free"), "{told}");
+    }
 
     fn entries(folder: &Path) -> Vec<String> {
         let mut names: Vec<_> = fs::read_dir(folder)

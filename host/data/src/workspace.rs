@@ -13,7 +13,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use crate::difference;
-use crate::files::{create_json_indented, read_json, write_json, write_json_indented};
+use crate::files::{ROOM, check_room, create_json_indented, read_json, write_json, write_json_indented};
 
 /// File of the recipe.
 const RECIPE: &str = "run.json";
@@ -76,6 +76,7 @@ impl Workspace {
     /// The folder has another recipe, or cannot be used.
     pub fn claim<R: Serialize + DeserializeOwned>(&self, recipe: &R) -> Result<(), WorkspaceError> {
         let path = self.path(RECIPE);
+        check_room(&self.0, ROOM).map_err(WorkspaceError::file(&self.0))?;
         loop {
             if let Some(there) = self.recipe::<Value>()? {
                 // What an earlier program did not write has its default.

@@ -416,7 +416,7 @@ fn next(chosen: &Chosen, context: &Context<'_>) -> Option<Section> {
 /// File of the weights image in the next steps.
 const WEIGHTS: &str = "weights.bin";
 
-/// One breath of a waveform: pressures and valves.
+/// One breath of a waveform: pressures, valves and what the network adds to its PID.
 fn curves(setup: &Setup, bench: &BenchConfig, title: &str, settings: &Settings) -> anyhow::Result<Section> {
     let Plan { seeds, warm_up, .. } = &setup.plan;
     let run = |law: &AnyLaw| {
@@ -435,14 +435,15 @@ fn curves(setup: &Setup, bench: &BenchConfig, title: &str, settings: &Settings) 
         pressure.push(Series::new(*name, Style::Line, points(trace, &trace.pressure)));
         valve.push(Series::new(*name, Style::Line, points(trace, &trace.u_in)));
     }
-    Ok(Section {
-        heading: title.to_owned(),
-        text: String::new(),
-        blocks: vec![Block::PlotRow(vec![
-            Plot::over_time("True airway pressure", "pressure, cmH2O", pressure),
-            Plot::over_time("Inspiratory valve", "command, percent", valve),
-        ])],
-    })
+    let mut plots = vec![
+        Plot::over_time("True airway pressure", "pressure, cmH2O", pressure),
+        Plot::over_time("Inspiratory valve", "command, percent", valve),
+    ];
+    if let (Some(residual), Some((name, trace))) = (setup.chosen.residual(), traces.get(1)) {
+        let residual = points(trace, &trace.residual(residual.pid()));
+        plots.push(Plot::over_time("Residual", "percent", vec![Series::new(*name, Style::Line, residual)]));
+    }
+    Ok(Section { heading: title.to_owned(), text: String::new(), blocks: vec![Block::PlotRow(plots)] })
 }
 
 fn points(trace: &BreathTrace, values: &[f64]) -> Vec<(f64, f64)> {

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use clap::{ArgMatches, Command};
-use data::files::{Draft, Target};
+use data::files::{Draft, ROOM, Target, check_room};
 use data::kind::Kind;
 
 /// Name of the option that lets a command replace what it would spare.
@@ -62,6 +62,19 @@ impl OutFile {
         }
     }
 
+    /// Checks that the disk has room for this many bytes.
+    ///
+    /// # Errors
+    /// It has less.
+    pub fn check_room(&self, bytes: u64) -> anyhow::Result<()> {
+        match Target::of(&self.path)? {
+            Target::File(file) => {
+                check_room(&file, bytes).with_context(|| format!("cannot write {}", self.path.display()))
+            }
+            Target::Stream(_) => Ok(()),
+        }
+    }
+
     /// Checks that the file can be written and that nothing else is lost.
     fn check(&self, force: bool) -> anyhow::Result<()> {
         let Self { path, kind } = self;
@@ -109,6 +122,7 @@ fn make_writable(path: &Path) -> io::Result<()> {
 
 /// Checks that a file can be created in its folder, or in the closest one above that exists, and that the disk takes it.
 fn try_folder_of(file: &Path) -> io::Result<()> {
+    check_room(file, ROOM)?;
     let Some(folder) = file.ancestors().skip(1).find(|folder| folder.exists()) else { return Ok(()) };
     let probe = Draft::of(&folder.join("probe"))?;
     let mut file = File::create(probe.path())?;

@@ -137,3 +137,12 @@ fn a_full_disk_is_an_error_and_a_closed_pipe_is_none() {
     let refused = place.refused("collect --breaths 2 --out /dev/full");
     assert!(refused.contains("No space left"), "{refused}");
 }
+
+/// The largest number of breaths takes terabytes.
+#[test]
+fn a_disk_without_room_is_noticed_before_the_work_begins() {
+    let place = Place::new();
+    let full = place.refused("collect --breaths 100000000 --out big.parquet");
+    assert!(full.contains("MB free") && full.contains("are needed"), "{full}");
+    assert!(!place.path("big.parquet").exists());
+}

@@ -6,6 +6,7 @@
 
 pub mod account;
 mod breaths;
+mod inputs;
 pub mod map;
 mod measured;
 mod pirds;
@@ -15,7 +16,6 @@ mod saturation;
 #[cfg(test)]
 mod tests;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use progress::{Progress, Stage, Task};
@@ -23,10 +23,12 @@ use serde_json::json;
 
 use self::account::ImportSummary;
 use self::breaths::Assembler;
+use self::inputs::Inputs;
 use self::map::{Quantity, TableLayout};
 pub use self::measured::{measured, measured_recording};
 pub use self::pirds::import_pirds;
 use self::reader::{RowSource, TableReader};
+use crate::files::check_room;
 use crate::provenance::Provenance;
 use crate::recording::{DatasetError, Extra, RecordingWriter};
 
@@ -34,8 +36,9 @@ use crate::recording::{DatasetError, Extra, RecordingWriter};
 pub const IMPORT: Stage = Stage("read tables, bytes");
 
 /// Note of a recording whose tables have no set-point: its targets cannot tell how well they were met.
-pub const NO_SET_POINT: &str =
-    "no set-point in the tables: target and PIP are the measured plateau, PEEP the first pressure";
+pub const NO_SET_POINT: &str = "no set-point in the tables: target and PIP are the measured plateau, PEEP the pressure before the breath";
+/// A recording is not larger than this part of its tables.
+const BYTES_READ_PER_WRITTEN: u64 = 2;
 /// Number of rows whose time steps determine the sample period.
 const PERIOD_ROWS: usize = 20_000;
 /// Number of rows between two progress reports.
@@ -64,32 +67,36 @@ pub fn import(
     out: &Path,
     progress: &Progress<'_>,
 ) -> Result<ImportSummary, DatasetError> {
+    let inputs = Inputs::new(paths);
     let period_us = match layout.period_s {
         Some(seconds) => (seconds * 1e6).round() as u32,
         None => common_period_us(paths, layout)?,
     };
-    import_rows(paths, layout, period_us, out, progress, |path| TableReader::open(path, layout))
+    import_rows(&inputs, layout, period_us, out, progress, |path| TableReader::open(path, layout))
 }
 
 /// Converts the rows of files that `open` opens in their order.
 fn import_rows<R: RowSource>(
-    paths: &[PathBuf],
+    inputs: &Inputs<'_>,
     layout: &TableLayout,
     period_us: u32,
     out: &Path,
     progress: &Progress<'_>,
     mut open: impl FnMut(&Path) -> Result<R, DatasetError>,
 ) -> Result<ImportSummary, DatasetError> {
-    let provenance = provenance(paths, layout, period_us);
+    let write = |source| DatasetError::Write { path: out.to_owned(), source };
+    check_room(out, inputs.bytes() / BYTES_READ_PER_WRITTEN).map_err(write)?;
+    let provenance = provenance(inputs.paths, layout, period_us);
     let writer = RecordingWriter::create(out, provenance, &extras(layout))?;
     let mut assembler = Assembler::new(layout, f64::from(period_us) * 1e-6, writer);
     let mut groups = Vec::new();
     let mut bytes = 0;
-    let length = |path: &PathBuf| fs::metadata(path).map_or(0, |metadata| metadata.len() as usize);
-    let task = progress.task(IMPORT, paths.iter().map(length).sum());
-    for path in paths {
+    let task = progress.task(IMPORT, inputs.bytes() as usize);
+    for path in inputs.paths {
         let mut reader = open(path)?;
-        while let Some(sample) = reader.next(&mut groups)? {
+        // A line that is being written is not wrong, but not complete.
+        let or_changed = |error| inputs.check().err().unwrap_or(error);
+        while let Some(sample) = reader.next(&mut groups).map_err(or_changed)? {
             assembler.push(sample)?;
             if assembler.account.counts.rows.is_multiple_of(PROGRESS_ROWS) {
                 task.reach((bytes + reader.position()) as usize);
@@ -101,6 +108,7 @@ fn import_rows<R: RowSource>(
         bytes += reader.position();
         goes_on(&task)?;
     }
+    inputs.check()?;
     let Assembler { account, mut writer, .. } = assembler;
     let summary = account.finish(period_us, groups.len());
     if summary.breaths == 0 {

@@ -3,6 +3,8 @@
 mod respiraworks;
 
 use std::fmt::Write as _;
+use std::fs;
+use std::io::Write as _;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -224,6 +226,25 @@ fn a_stopped_import_leaves_the_older_file_and_nothing_beside_it() {
     assert!(matches!(stopped, Err(DatasetError::Stopped)));
     assert_eq!(fs::read_to_string(&out).unwrap(), "older");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+}
+
+#[test]
+fn a_file_that_grows_while_it_is_read_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out.parquet");
+    let tables = ["first.csv", "second.csv"].map(|name| folder.path().join(name));
+    for table in &tables {
+        fs::write(table, kaggle(9)).unwrap();
+    }
+    // Half a line, as a logger leaves one.
+    let grow = |_: &progress::Event<'_>| {
+        let mut log = fs::File::options().append(true).open(&tables[1]).unwrap();
+        log.write_all(b"9999,70,20,").unwrap();
+    };
+    let layout = ColumnMap::kaggle().unwrap().layout().unwrap();
+    let changed = import(&tables, &layout, &out, &Progress::new(&grow, &AtomicBool::new(false)));
+    assert!(matches!(changed, Err(DatasetError::Changed(path)) if path == tables[1]));
+    assert!(!out.exists());
 }
 
 #[test]

@@ -79,6 +79,11 @@ pub enum DatasetError {
     /// A cell of a table with a column map cannot be used.
     #[error("{path}, line {line}, column `{column}`: `{value}` {reason}")]
     TableCell { path: PathBuf, line: u64, column: String, value: String, reason: &'static str },
+    /// A file was written to while it was read.
+    #[error(
+        "{0} changed while it was read: wait until it is complete, or import a copy; nothing was written"
+    )]
+    Changed(PathBuf),
     /// A line of a PIRDS file is not an event.
     #[error("{path}, line {line}: {reason}")]
     EventLine { path: PathBuf, line: u64, reason: String },

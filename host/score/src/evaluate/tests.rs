@@ -2,7 +2,8 @@
 
 use rayon::ThreadPoolBuilder;
 use shared::breath::{DEFAULT_PERIOD_US, paper_settings, period_s};
-use shared::control::pid::{Pid, PidGains};
+use shared::control::pid::{Pid, PidGains, PidState};
+use shared::control::{ControlLaw, ControlOutput, Observation};
 
 use super::*;
 
@@ -189,4 +190,46 @@ fn a_trace_shows_whole_breaths_with_the_reading_beside_the_truth() {
     let noise: Vec<f64> =
         trace.measured.iter().zip(&trace.pressure).skip(700).take(250).map(|(m, p)| m - p).collect();
     assert!(noise.iter().any(|n| n.abs() > 0.05) && noise.iter().all(|n| n.abs() < 1.5));
+}
+
+/// A PID to which something constant is added, percent.
+#[derive(Clone)]
+struct Raised(Pid, f32);
+
+impl ControlLaw for Raised {
+    type State = PidState;
+
+    fn initial_state(&self) -> PidState {
+        PidState::new()
+    }
+
+    fn start_breath(&self, state: &mut PidState, _command: f32) {
+        *state = PidState::new();
+    }
+
+    fn step(&self, state: &mut PidState, seen: &Observation) -> ControlOutput {
+        self.0.step(state, seen, self.1)
+    }
+
+    fn applied(&self, _state: &mut PidState, _command: f32) {}
+}
+
+#[test]
+fn the_residual_of_a_trace_is_what_was_added_to_the_pid() {
+    let pid = Pid::new(PidGains { p: 10.0, i: 60.0, d: 0.02 }, DEFAULT_PERIOD_US).unwrap();
+    let settings = paper_settings(35.0);
+    for added in [0.0, 7.0, -7.0] {
+        let law = Raised(pid.clone(), added);
+        let trace = trace_after(1, &lung(), &law, &settings, DEFAULT_PERIOD_US, 1, 2).unwrap();
+        assert!(trace.u_in.contains(&100.0), "the command is saturated at first");
+        let residual = trace.residual(&pid);
+        for (tick, residual) in residual.iter().enumerate() {
+            // It is faded in, and a saturated command has no room for it.
+            let (least, most) = (added.min(0.0), added.max(0.0));
+            let free = !trace.u_out[tick] && tick % 3000 > 300 && (1.0..99.0).contains(&trace.u_in[tick]);
+            let expected = if free { added..=added } else { least..=most };
+            let (low, high) = (f64::from(*expected.start()) - 0.01, f64::from(*expected.end()) + 0.01);
+            assert!((low..=high).contains(residual), "tick {tick}: {residual} of {added}");
+        }
+    }
 }

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 use shared::breath::period_s;
-use shared::control::{ControlLaw, Controller};
+use shared::control::pid::{Pid, PidState};
+use shared::control::{COMMAND_MAX, ControlLaw, Controller, Observation};
 use shared::settings::Settings;
 use shared::ventilator::opening;
 
@@ -40,6 +41,39 @@ impl BreathTrace {
     pub fn u_out_percent(&self) -> Vec<f64> {
         self.u_out.iter().map(|open| opening(*open).into()).collect()
     }
+
+    /// The residual as applied, percent: the command of each tick of an inspiration less that of the PID underneath; 0 in expirations.
+    /// A PID starts every breath anew, so the measured pressures and the commands decide what it asked for.
+    pub fn residual(&self, pid: &Pid) -> Vec<f64> {
+        let mut state = PidState::new();
+        let ticks = self.measured.iter().zip(&self.target).zip(self.u_in.iter().zip(&self.u_out));
+        ticks
+            .map(|((measured, target), (command, expires))| {
+                if *expires {
+                    state = PidState::new();
+                    return 0.0;
+                }
+                command - pid_under(pid, &mut state, *measured as f32, *target as f32, *command as f32)
+            })
+            .collect()
+    }
+}
+
+/// The command of the PID under a residual, percent, in a tick in which `command` was applied.
+fn pid_under(pid: &Pid, state: &mut PidState, pressure: f32, target: f32, command: f32) -> f64 {
+    let seen = Observation { pressure, target, pip: target, peep: target, tick: 0, rise_ticks: 0 };
+    // The integral waits while the command with the residual is saturated: a bounded command says no more of the residual.
+    let extra = if command >= COMMAND_MAX {
+        f32::MAX
+    } else if command <= 0.0 {
+        f32::MIN
+    } else {
+        let integral = state.integral;
+        let mut alone = state.clone();
+        pid.step(&mut alone, &seen, 0.0);
+        command - (pid.gains().p * (target - pressure) + integral + alone.derivative)
+    };
+    f64::from(pid.step(state, &seen, extra).base)
 }
 
 /// Runs one unrecorded breath, then records `breaths`; `seed` is that of the sensor noise.

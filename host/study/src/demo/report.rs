@@ -1,6 +1,6 @@
 //! The demo's report: tables and figures.
 
-use super::{Demo, TRACED_PIPS};
+use super::{Contestant, Demo, TRACED_PIPS};
 use crate::prediction;
 use data::provenance::Provenance;
 use learn::pipeline::Round;
@@ -109,12 +109,24 @@ impl Demo {
             |title: &str, until, of| Plot::over_time(title, "command, %", self.curves(1, until, of).into());
         Section::new(
             "Valves",
-            format!("Commands at PIP {} cmH2O: how each controller reaches its pressure.", TRACED_PIPS[1]),
+            format!(
+                "Commands at PIP {} cmH2O: how each controller reaches its pressure, and what the network adds to its PID.",
+                TRACED_PIPS[1]
+            ),
             vec![Block::PlotRow(vec![
                 plot("Inspiratory valve, one inspiration", INSPIRATION_SHOWN, |trace| trace.u_in.clone()),
+                self.residual(),
                 plot("Expiratory valve, one breath", BREATH_SHOWN, BreathTrace::u_out_percent),
             ])],
         )
+    }
+
+    /// What the network adds to the PID underneath.
+    fn residual(&self) -> Plot {
+        let Contestant { name, controller, traces, .. } = &self.contestants[3];
+        let residual = traces[1].points(&traces[1].residual(controller.pid()), INSPIRATION_SHOWN);
+        let series = vec![Series::new(*name, Style::Line, residual)];
+        Plot::over_time("Residual, one inspiration", "command, %", series)
     }
 
     fn simulator(&self) -> Section {

@@ -15,6 +15,7 @@ use progress::Progress;
 use self::rows::EventRows;
 use self::survey::{Survey, survey};
 use super::account::ImportSummary;
+use super::inputs::Inputs;
 use super::map::{ColumnSource, EndBy, QUANTITIES, Quantity, StartBy, TableLayout};
 use super::{import_rows, same_period};
 use crate::pirds::{EventFault, EventReader};
@@ -35,6 +36,7 @@ pub fn import_pirds(
     out: &Path,
     progress: &Progress<'_>,
 ) -> Result<ImportSummary, DatasetError> {
+    let inputs = Inputs::new(paths);
     let surveys = paths.iter().map(|path| survey(path, progress)).collect::<Result<Vec<_>, _>>()?;
     let periods: Vec<_> = surveys.iter().map(|survey| survey.period_us).collect();
     let period_us = same_period(paths, &periods)?;
@@ -44,7 +46,7 @@ pub fn import_pirds(
         let survey = surveys.next().ok_or(DatasetError::NoTables)?;
         EventRows::open(path, survey)
     };
-    import_rows(paths, &layout, period_us, out, progress, open).map_err(|error| match error {
+    import_rows(&inputs, &layout, period_us, out, progress, open).map_err(|error| match error {
         DatasetError::NoBreath { .. } => {
             unusable(&paths[0], "no breath was found in its pressure or flow: export a longer part")
         }
