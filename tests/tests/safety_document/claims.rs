@@ -4,22 +4,18 @@ use super::SAFETY;
 use super::figures::{grouped, ms, number, percent, tenths, whole};
 use super::sentence::{Claim, quoted};
 use plant::bench::BenchConfig;
-use shared::breath::DEFAULT_PERIOD_US;
 use shared::calibration::Quantity;
 use shared::control::COMMAND_MAX;
-use shared::control::features::ERROR_SCALE;
-use shared::control::memory::{LEARNING, SURPRISE};
 use shared::device::REPEAT_TIME;
 use shared::device::absence::LONGEST_ABSENCE_S;
 use shared::device::prescription::RESUMES;
 use shared::flash::journal::RECORD_BYTES;
 use shared::link::refusal::AUDIO_PAUSE_MAX;
-use shared::recorder::LOG_INTERVAL;
 use shared::recorder::keeper::Keeper;
 use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS, HALVINGS};
 use shared::safety::plateau::{DOUBTFUL, TUBE};
-use shared::safety::supervisor::{CUTS_MAX, EFFORT, RESIDUAL_SLEW, RESPONSE};
+use shared::safety::supervisor::RESIDUAL_SLEW;
 use shared::safety::{backup, expected, expiration, flow_monitor, lung_estimator, pressure_monitor};
 use shared::safety::{reference_volume, settling};
 use shared::settings::{LIMIT_MARGIN, Settings};
@@ -56,17 +52,10 @@ fn minutes(seconds: u32) -> String {
     number(f64::from(seconds) / 60.0)
 }
 
-/// Ticks of the default control period, in seconds.
-fn seconds(ticks: u32) -> f64 {
-    f64::from(ticks) * f64::from(DEFAULT_PERIOD_US) / 1e6
-}
-
 /// Numbers that no constant changes.
 fn words() -> Vec<Claim> {
     let sentences = [
         "There are two duties",
-        "kept in two copies, each with a checksum",
-        "Each of the two has checks of its own",
         "two programs that change settings in turn",
         "checksum, two copies, validation",
     ];
@@ -79,15 +68,9 @@ fn control() -> Vec<Claim> {
         says("changes by at most {} % per ms", [number(RESIDUAL_SLEW / 1000.0)]),
         says("compiled-in PID, capped at {} %", [number(CAP)]),
         says("finite, 0 to {} %;", [number(COMMAND_MAX)]),
-        says("From {} adopted breaths on", [number(LEARNING)]),
-        says("remembered one by {} cmH2O or more", [number(SURPRISE * ERROR_SCALE)]),
-        says("forgetting, at most one in {} s", [number(seconds(LOG_INTERVAL))]),
         says("after {} ms at most, the command is the PID's", [ms(COMMAND_MAX / RESIDUAL_SLEW)]),
-        says("outside 0 to {} % is not used", [number(COMMAND_MAX)]),
         says("and {} clean breaths in a row lead one step up", [number(CLEAN_BREATHS)]),
         says("their number doubles, up to {}.", [number(CLEAN_BREATHS << DOUBLINGS)]),
-        says("a breath with less than {} % of its rise lifts it at once", [percent(RESPONSE)]),
-        says("Behind a narrowed tube {} breaths", [number(CUTS_MAX)]),
         says("down to {} %.", [number(CAP / (1_u32 << HALVINGS) as f32)]),
     ]
 }
@@ -143,17 +126,12 @@ fn sensors() -> Vec<Claim> {
             [percent(flow_monitor::GAIN.0), percent(flow_monitor::GAIN.1)],
         ),
         says(
-            "shows less than {} % of the usual volume in {} breaths in a row",
-            [percent(flow_monitor::GETS_THROUGH), number(flow_monitor::BLOCKED_BREATHS)],
-        ),
-        says(
             "An offset of less than {} L/s and {} % of the inspired volume counts as a leak",
             [number(flow_monitor::OFFSET), percent(flow_monitor::INEXACT)],
         ),
         says("little gas ({} mL of the valve's model", [number(flow_monitor::TELLING)]),
         says("holds it up (a command of at most {} %)", [number(expiration::BOUND)]),
         says("in advance, with a command of at most {} %", [number(expiration::LEAK_BOUND)]),
-        says("groups of {} breaths or more are compared", [number(reference_volume::GROUP.0)]),
         says("the last {} s do not count", [number(reference_volume::SPAN)]),
         says("an inspiratory time that changes by more than {} %", [percent(settling::NEW_BREATH)]),
         says("before the settings have rested for {} breaths", [number(settling::RESTED_BREATHS)]),
@@ -204,15 +182,11 @@ fn delays() -> Vec<Claim> {
              the valve's lag ({} ms,",
             [number(bench.sensor.lag_ms), number(spike), number(valve.dead_time_ms), number(valve.lag_ms)],
         ),
-        says("together `T` = {} ms.", [number(delay)]),
-        says("`Q` = {} L/s, {} mL arrive in that time", [number(flow), whole(flow * delay)]),
+        says("together {} ms.", [number(delay)]),
+        says("At full flow, {} L/s, {} mL arrive in that time", [number(flow), whole(flow * delay)]),
         says("The circuit ({} mL/cmH2O) and a lung", [number(circuit)]),
-        says("sum of both: {} cmH2O at C 10 and {} at C 50", [rise(10.0), rise(50.0)]),
+        says("rises by at most {} cmH2O at C 10 and {} at C 50", [rise(10.0), rise(50.0)]),
         says("the pressure rises by {} cmH2O per ms", [tenths(flow / circuit)]),
-        says(
-            "by another {} cmH2O, and only the relief valve at {} cmH2O would end",
-            [whole(flow * delay / circuit), number(bench.circuit.relief_opening_cmh2o)],
-        ),
         says(
             "slope is extrapolated by {} ms (smoothing costs about {} ms of these)",
             [number(pressure_monitor::AHEAD), number(1.0 / pressure_monitor::SLOPE_SHARE)],
@@ -257,8 +231,6 @@ fn not_covered() -> Vec<Claim> {
         says("an offset of less than {} cmH2O", [number(DOUBTFUL)]),
         says("hides another {} cmH2O per L/s", [number(TUBE)]),
         says("Efforts in the first {} s after", [number(blocks as f64 * f64::from(trigger::BLOCK))]),
-        says("for up to {} cmH2O of a missing rise", [number(EFFORT)]),
-        says("estimated from {} inspirations, at least one", [number(lung_estimator::KNOWN as f64)]),
         says("freezes at less than {} cmH2O above PEEP", [number(expected::ABOVE)]),
         says("the softest lung ({} mL/cmH2O)", [number(1.0 / lung_estimator::SOFTEST)]),
         says("stiffer than the paper's (C {})", [number(compliances.fold(f64::INFINITY, f64::min))]),
