@@ -158,7 +158,7 @@ fn matrix() -> Vec<Claim> {
         says("sets another one, from {} to {}.", [number(LIMITS.0), number(LIMITS.1)]),
         says("vent comes within {} ms of a reading above", [number(VENT_WITHIN_MS)]),
         says(
-            "row's bound: {} cmH2O above the limit where the valves obey, and never more than the {} cmH2O",
+            "within the last column: {} cmH2O above the limit where the valves obey, and never more than the {} cmH2O",
             [number(above_limit), number(RELIEF)],
         ),
         says(

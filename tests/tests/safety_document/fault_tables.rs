@@ -11,7 +11,7 @@ pub fn tables() -> String {
         writeln!(
             text,
             "\nHazard: {hazard}.\n\n\
-             | cause | monitor | response | ventilation that goes on | highest true pressure, cmH2O |\n\
+             | cause | monitor | response | volume, longest gap | cmH2O |\n\
              |---|---|---|---|---:|"
         )
         .unwrap();
@@ -38,11 +38,11 @@ fn reaction(case: &FaultCase) -> (String, String) {
 
 /// What ventilation a row requires.
 fn ventilation(case: &FaultCase) -> String {
-    let share = format!("{:.0} % of the volume", 100.0 * case.least_share);
+    let share = format!("{:.0} %", 100.0 * case.least_share);
     let gap = f64::from(case.longest_gap_ms(LIMIT)) / 1000.0;
     match case.ventilation {
-        Required::Impossible => "none is required".to_owned(),
-        Required::Stays => "none may start by itself".to_owned(),
-        Required::GoesOn | Required::Resumes => format!("{share}, a breath within {gap:.0} s"),
+        Required::Impossible => "none required".to_owned(),
+        Required::Stays => "no start by itself".to_owned(),
+        Required::GoesOn | Required::Resumes => format!("{share}, {gap:.0} s"),
     }
 }
