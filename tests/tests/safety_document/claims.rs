@@ -12,7 +12,6 @@ use shared::device::prescription::RESUMES;
 use shared::flash::journal::RECORD_BYTES;
 use shared::link::refusal::AUDIO_PAUSE_MAX;
 use shared::recorder::keeper::Keeper;
-use shared::safety::host::SILENCE_MAX;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS, HALVINGS};
 use shared::safety::plateau::{DOUBTFUL, TUBE};
 use shared::safety::supervisor::RESIDUAL_SLEW;
@@ -36,7 +35,7 @@ const SUPPLY: &str = "firmware/src/chip/drivers/supply.rs";
 pub fn claims() -> Vec<(&'static str, Claim)> {
     let safety =
         [words(), control(), resets(), sensors(), alarms(), matrix(), delays(), bounds(), not_covered()];
-    let hardware = [circuit_check(), relief_check(), chip(), slots()];
+    let hardware = [circuit_check(), relief_check(), chip()];
     let of = |document| move |claim| (document, claim);
     let safety = safety.into_iter().flatten().map(of(SAFETY));
     let hardware = hardware.into_iter().flatten().map(of(HARDWARE));
@@ -266,7 +265,6 @@ fn circuit_check() -> Vec<Claim> {
 fn relief_check() -> Vec<Claim> {
     vec![
         says("at {} % command the pressure stops", ["FILL"].map(manoeuvre)),
-        says("valves are made safe at {} cmH2O", ["CEILING"].map(manoeuvre)),
         says("a pressure of {} cmH2O ends a check", ["CEILING"].map(manoeuvre)),
     ]
 }
@@ -278,15 +276,7 @@ fn chip() -> Vec<Claim> {
         says("pause the sounder for at most {} s", [number(AUDIO_PAUSE_MAX)]),
         says("for up to {} minutes |", [longest()]),
         says("if the supply returns within {} minutes", [longest()]),
-        says("is repeated every {} s until", [number(REPEAT_TIME)]),
-        says("lapses after {} s without a request", [number(LEASE_S)]),
-        says("settings; after {} s exploration ends", [number(SILENCE_MAX)]),
     ]
-}
-
-/// Room that the weights need on a board with little flash.
-fn slots() -> Vec<Claim> {
-    vec![says("if the weights ({} bytes each) moved to", [grouped(SLOT_BYTES)])]
 }
 
 /// Room in flash that a board must have.
