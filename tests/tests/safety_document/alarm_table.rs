@@ -24,7 +24,7 @@ use shared::safety::{
 /// An alarm, the condition that begins it and the event that ends it.
 type Conditions = (Fault, String, String);
 
-const GONE: &str = "the condition is gone";
+const GONE: &str = "gone";
 const ACKNOWLEDGED: &str = "an operator acknowledges, or the device restarts";
 
 /// The table, in the order of the alarms.
