@@ -28,7 +28,7 @@ pub fn check_room(path: &Path, bytes: u64) -> io::Result<()> {
     }
     let megabytes = |bytes: u64| bytes as f64 / 1e6;
     let reason = format!(
-        "the disk of {} has {:.1} MB free, and {:.1} MB are needed: free some space, or choose another disk",
+        "the disk of {} has {:.1} MB free, and {:.1} MB are needed: free some space, choose another disk, or ask for less",
         folder.display(),
         megabytes(space.available_space()),
         megabytes(bytes)

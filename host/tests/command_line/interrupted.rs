@@ -9,7 +9,7 @@ use super::support::{INTERRUPTED, Place, text};
 #[cfg(unix)]
 fn an_interrupted_collection_is_a_whole_recording() {
     let place = Place::new();
-    let output = place.interrupt("collect --out a.parquet --breaths 10000000");
+    let output = place.interrupt("collect --out a.parquet --breaths 20000");
     assert_eq!(output.status.code(), INTERRUPTED, "{}", text(&output.stderr));
     let recording = Recording::load(place.path("a.parquet")).unwrap();
     let breaths = recording.breaths().len();
