@@ -4,6 +4,8 @@ use std::fs;
 use std::io::Read;
 use std::process::Stdio;
 
+use data::recording::Recording;
+
 use super::support::{Place, text};
 
 #[test]
@@ -134,8 +136,24 @@ fn a_full_disk_is_an_error_and_a_closed_pipe_is_none() {
         child.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();
         assert!(child.wait().unwrap().success() && stderr.is_empty(), "{line}: {stderr}");
     }
-    let refused = place.refused("collect --breaths 2 --out /dev/full");
-    assert!(refused.contains("No space left"), "{refused}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn breaths_for_which_the_disk_has_become_too_full_are_saved_elsewhere() {
+    let place = Place::new();
+    let elsewhere = place.path("elsewhere");
+    fs::create_dir(&elsewhere).unwrap();
+    let mut command = place.command("collect --breaths 2 --out /dev/full");
+    let output = command.env("TMPDIR", &elsewhere).output().unwrap();
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    let [saved] = &fs::read_dir(&elsewhere).unwrap().map(|file| file.unwrap().path()).collect::<Vec<_>>()[..]
+    else {
+        panic!("{stderr}");
+    };
+    assert!(stderr.contains("No space left") && stderr.contains(&*saved.to_string_lossy()), "{stderr}");
+    assert_eq!(Recording::load(saved).unwrap().breaths().len(), 2);
 }
 
 /// The largest number of breaths takes terabytes.
