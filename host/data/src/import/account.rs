@@ -6,7 +6,7 @@ use std::fmt;
 use serde::Serialize;
 
 use super::map::Quantity;
-use super::reader::TableRow;
+use super::rows::{Disorder, TableRow};
 use super::saturation::Saturation;
 use crate::recording::quality::{noise_of_second_differences, quantum};
 use crate::recording::{INSPIRATION, Row};
@@ -15,6 +15,13 @@ use crate::recording::{INSPIRATION, Row};
 const JUDGED: usize = 500_000;
 /// Distance from 0 or 100 percent below which a command counts as at the end of the valve's range.
 const AT_END: f64 = 1e-6;
+
+/// Pressures that a ventilator's record usually stays within, cmH2O.
+const PRESSURE_USUAL: (f64, f64) = (-60.0, 120.0);
+/// Least change of the pressure in breaths, cmH2O.
+const PRESSURE_LEAST: f64 = 2.0;
+/// Flow that patients hardly reach, L/s.
+const FLOW_USUAL: f64 = 6.0;
 
 /// Valves whose saturation is reported.
 const VALVES: [Quantity; 3] = [Quantity::UIn, Quantity::UOut, Quantity::UPsol];
@@ -66,6 +73,7 @@ impl Account {
         self.counts.rows += 1;
         let pressure = sample.get(Quantity::Pressure);
         self.counts.pressure.add(pressure);
+        self.counts.flow.add(sample.flow());
         let known = sample.get(Quantity::UIn).is_finite();
         if known {
             self.counts.u_in.add(sample.get(Quantity::UIn));
@@ -105,7 +113,9 @@ impl Account {
     }
 
     /// Ends a table of which so many events, by name, are in no row.
-    pub(super) fn end_of_table(&mut self, unused: BTreeMap<String, usize>) {
+    pub(super) fn end_of_table(&mut self, unused: BTreeMap<String, usize>, disorder: Disorder) {
+        self.counts.disorder.add(disorder);
+        self.counts.rows += disorder.dropped();
         for (name, events) in unused {
             *self.counts.unused.entry(name).or_default() += events;
         }
@@ -113,12 +123,18 @@ impl Account {
     }
 
     /// The summary of an import of this number of test runs.
-    pub(super) fn finish(mut self, period_us: u32, tests: usize) -> ImportSummary {
+    pub(super) fn finish(
+        mut self,
+        period_us: u32,
+        tests: usize,
+        breaths_from: &'static str,
+    ) -> ImportSummary {
         let [saturated_inhale, saturated_exhale, saturated_psol] =
             self.valves.each_ref().map(Saturation::share);
         ImportSummary {
             tests,
             period_us,
+            breaths_from,
             quantum: quantum(&self.pressures),
             noise: noise_of_second_differences(&mut self.second_differences),
             saturated: self.saturated.0 as f64 / self.saturated.1.max(1) as f64,
@@ -141,7 +157,11 @@ pub struct ImportSummary {
     pub dropped_before_first_breath: usize,
     /// Number of rows between a gap in time and the next breath.
     pub dropped_after_gap: usize,
-    /// Number of test runs; a table without groups is one.
+    /// Rows that were there twice or out of order.
+    pub disorder: Disorder,
+    /// What shows the breaths.
+    pub breaths_from: &'static str,
+    /// Test runs; a table without groups is one.
     pub tests: usize,
     /// Number of breaths, complete or not.
     pub breaths: usize,
@@ -159,6 +179,8 @@ pub struct ImportSummary {
     pub step_ms: Extremes,
     /// Pressures, cmH2O.
     pub pressure: Extremes,
+    /// Net flows into the lung, L/s.
+    pub flow: Extremes,
     /// Commands of the inspiratory valve, percent.
     pub u_in: Extremes,
     /// Smallest step of the pressure column, cmH2O; 0 if all pressures are equal.
@@ -186,7 +208,7 @@ impl ImportSummary {
         let rows = format!(
             "{} rows read, {} dropped, {} gaps, {} breaths put on an even grid",
             self.rows,
-            self.dropped_before_first_breath + self.dropped_after_gap,
+            self.dropped(),
             self.gaps,
             self.resampled_breaths,
         );
@@ -195,6 +217,51 @@ impl ImportSummary {
             return format!("{rows}, {saturated:.1} % of inspiratory rows with the valve at an end");
         }
         rows
+    }
+
+    /// Number of rows read that are not in the recording.
+    fn dropped(&self) -> usize {
+        self.dropped_before_first_breath + self.dropped_after_gap + self.disorder.dropped()
+    }
+
+    /// The lines about rows that were there twice or out of order.
+    fn order(&self) -> Vec<(&'static str, String)> {
+        let Disorder { repeated, same_time, reordered, late, heads } = self.disorder;
+        let lines = [
+            ("  equal to the one before", repeated),
+            ("  at the time of another", same_time),
+            ("  far too late", late),
+            ("rows put in order of time", reordered),
+            ("lines of units skipped", heads),
+        ];
+        let some = lines.into_iter().filter(|(_, count)| *count > 0);
+        some.map(|(name, count)| (name, count.to_string())).collect()
+    }
+
+    /// What seems wrong with units or columns, as questions.
+    pub fn questions(&self) -> Vec<String> {
+        let mut questions = Vec::new();
+        let Extremes { low, high } = self.pressure;
+        if high > PRESSURE_USUAL.1 {
+            questions.push(format!("pressure reaches {high:.0} cmH2O: are its unit and column right?"));
+        }
+        if low < PRESSURE_USUAL.0 {
+            questions.push(format!("pressure falls to {low:.0} cmH2O: are its unit and column right?"));
+        }
+        if high - low < PRESSURE_LEAST {
+            questions.push(format!("pressure changes by {:.2} cmH2O only: is it in kPa?", high - low));
+        }
+        let flow = self.flow.high.max(-self.flow.low);
+        if flow > FLOW_USUAL {
+            questions.push(format!("flow reaches {flow:.0} L/s: is it in L/min?"));
+        }
+        if self.complete_breaths * 2 < self.breaths {
+            questions.push(format!(
+                "only {} of {} breaths are complete: is the right column what starts and ends them?",
+                self.complete_breaths, self.breaths
+            ));
+        }
+        questions
     }
 
     /// Whether the tables give the commands of the inspiratory valve.
@@ -223,11 +290,15 @@ impl fmt::Display for ImportSummary {
         let mut lines = vec![
             ("rows read", self.rows.to_string()),
             ("rows written", self.kept.to_string()),
-            ("rows dropped", (self.dropped_before_first_breath + self.dropped_after_gap).to_string()),
+            ("rows dropped", self.dropped().to_string()),
             ("  before the first breath", self.dropped_before_first_breath.to_string()),
             ("  after a gap", self.dropped_after_gap.to_string()),
+        ];
+        lines.extend(self.order());
+        lines.extend([
             ("test runs", self.tests.to_string()),
             ("breaths", format!("{} ({} complete)", self.breaths, self.complete_breaths)),
+            ("  shown by", self.breaths_from.to_owned()),
             ("gaps in time", self.gaps.to_string()),
             ("sample period", format!("{} ms", f64::from(self.period_us) * 1e-3)),
             ("time steps", format!("{} ms", self.step_ms.text(2))),
@@ -241,12 +312,13 @@ impl fmt::Display for ImportSummary {
             ("pressure", format!("{} cmH2O", self.pressure.text(2))),
             ("pressure quantum", format!("{:.4} cmH2O", self.quantum)),
             ("pressure noise (sd)", format!("{:.3} cmH2O", self.noise)),
-        ];
+        ]);
         lines.extend(self.valves());
         let lungs: Vec<_> = self.lungs.iter().map(|(lung, breaths)| format!("{lung} ({breaths})")).collect();
         lines.extend((!lungs.is_empty()).then(|| ("lungs R:C (breaths)", lungs.join(", "))));
         let unused: Vec<_> = self.unused.iter().map(|(name, events)| format!("{name} ({events})")).collect();
         lines.extend((!unused.is_empty()).then(|| ("events not used", unused.join(", "))));
+        lines.extend(self.questions().into_iter().map(|question| ("check", question)));
         let lines: Vec<_> = lines.iter().map(|(name, value)| format!("{name:<27} {value}")).collect();
         write!(f, "{}", lines.join("\n"))
     }

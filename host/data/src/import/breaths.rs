@@ -2,22 +2,21 @@
 
 use std::collections::VecDeque;
 
+use super::OPEN;
 use super::account::{Account, ImportSummary};
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
-use super::reader::TableRow;
-use super::rises::{Rises, is_up};
+use super::rises::is_up;
+use super::rows::{TableRow, interrupted};
 use crate::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, RecordingWriter, Row};
 
-/// Position of the expiratory valve from which it counts as open, percent.
-const OPEN: f64 = 50.0;
-/// Longest step between consecutive rows, in periods; a longer one is a gap.
-const MOST_PERIODS: f64 = 1.75;
 /// A breath is not resampled if all of its rows are within this share of a period from the grid.
 const UNEVEN: f64 = 0.05;
-/// Time before the end of an inspiration over which its plateau is averaged if there is no set-point, seconds.
-const PLATEAU_S: f64 = 0.05;
+/// Time before the end of an inspiration whose middle pressure is its PIP if there is no set-point, seconds.
+const PLATEAU_S: f64 = 0.1;
 /// Time before a breath whose middle pressure is its PEEP if there is no set-point, seconds.
 const PEEP_S: f64 = 0.2;
+/// Step of the set-point that is an edge, not a ramp, cmH2O.
+const EDGE: f64 = 2.0;
 /// Number of rows after which a breath without an end is discarded.
 const MOST_ROWS: usize = 200_000;
 
@@ -27,7 +26,6 @@ pub(super) struct Assembler<'a> {
     pub(super) writer: RecordingWriter,
     layout: &'a TableLayout,
     period_s: f64,
-    rises: Rises,
     /// The samples of the current breath; before it the set-point, and the pressures of the last expiration.
     breath: Vec<TableRow>,
     target_before: f64,
@@ -47,7 +45,6 @@ impl<'a> Assembler<'a> {
             writer,
             layout,
             period_s,
-            rises: Rises::new(period_s),
             breath: Vec::new(),
             target_before: 0.0,
             pressures_before: Vec::new(),
@@ -66,7 +63,7 @@ impl<'a> Assembler<'a> {
             self.end_of_stretch()?;
         }
         let numbered = self.layout.start == StartBy::Number && sample.next_breath;
-        let follows = self.last.is_none_or(|last| self.follows(&last, &sample));
+        let follows = self.last.is_none_or(|last| !interrupted(&last, &sample, self.period_s));
         if !numbered && (!follows || self.breath.len() >= MOST_ROWS) {
             self.end_of_stretch()?;
             self.after_gap = true;
@@ -75,15 +72,7 @@ impl<'a> Assembler<'a> {
         if !follows {
             self.recent.clear();
         }
-        let starts = match self.layout.start {
-            StartBy::Number => sample.next_breath,
-            StartBy::Target => self.rises.starts(sample.get(Quantity::Target) as f32),
-            StartBy::Valve => {
-                let open = |sample: &TableRow| sample.get(Quantity::UOut) >= OPEN;
-                self.last.is_some_and(|last| open(&last)) && !open(&sample)
-            }
-        };
-        if starts {
+        if sample.next_breath {
             self.finish()?;
             (self.within, self.after_gap) = (true, false);
             self.target_before = self.last.unwrap_or(sample).get(Quantity::Target);
@@ -106,7 +95,6 @@ impl<'a> Assembler<'a> {
     pub(super) fn end_of_stretch(&mut self) -> Result<(), DatasetError> {
         self.finish()?;
         (self.last, self.within, self.after_gap) = (None, false, false);
-        self.rises.reset();
         self.recent.clear();
         Ok(())
     }
@@ -123,15 +111,15 @@ impl<'a> Assembler<'a> {
     /// PEEP without a set-point: what the pressure rested at before the breath, which a start that is found late does
     /// not change; at a first row, that row's pressure.
     fn peep_before(&self, first: &TableRow) -> f32 {
-        let mut before = self.pressures_before.clone();
-        before.sort_by(f64::total_cmp);
-        before.get(before.len().saturating_sub(1) / 2).copied().unwrap_or(first.get(Quantity::Pressure))
-            as f32
+        middle(self.pressures_before.clone()).unwrap_or(first.get(Quantity::Pressure)) as f32
     }
 
-    fn follows(&self, last: &TableRow, next: &TableRow) -> bool {
-        let step = next.get(Quantity::Time) - last.get(Quantity::Time);
-        step > 0.0 && step <= MOST_PERIODS * self.period_s
+    /// PEEP by the set-point: where it rests after the inspiration or, if it never comes down, where it was before.
+    fn peep_set(&self, samples: &[TableRow]) -> f64 {
+        let target = |sample: &TableRow| sample.get(Quantity::Target);
+        let highest = samples.iter().map(target).fold(f64::NEG_INFINITY, f64::max);
+        let last = samples.last().map_or(highest, target);
+        if is_up(highest as f32, last as f32) { last } else { self.target_before.min(last) }
     }
 
     fn finish(&mut self) -> Result<(), DatasetError> {
@@ -152,13 +140,13 @@ impl<'a> Assembler<'a> {
 
     /// Writes the rows of a breath whose samples are on the grid.
     fn fill_rows(&mut self, samples: &[TableRow]) {
-        let has = |quantity: Quantity| self.layout.origins[quantity as usize].is_some();
+        let has = |quantity: Quantity| self.layout.has(quantity);
         let has_target = has(Quantity::Target);
-        let targets = || samples.iter().map(|sample| sample.get(Quantity::Target));
-        let lowest = targets().fold(self.target_before, f64::min);
-        let inspiration = self.inspiration(samples, lowest as f32);
+        let settled = self.peep_set(samples);
+        let inspiration = self.inspiration(samples, settled as f32);
         let (pip, peep) = if has_target {
-            (setting(targets().fold(lowest, f64::max)), setting(lowest))
+            let inspired = samples[..inspiration.max(1)].iter().map(|sample| sample.get(Quantity::Target));
+            (setting(inspired.fold(settled, f64::max)), setting(settled))
         } else {
             (self.plateau(&samples[..inspiration.max(1)]), self.peep_before(&samples[0]))
         };
@@ -199,16 +187,28 @@ impl<'a> Assembler<'a> {
         let until = |ends: &dyn Fn(&TableRow) -> bool| samples.iter().position(ends).unwrap_or(samples.len());
         match self.layout.end {
             EndBy::Time(seconds) => ((seconds / self.period_s).round() as usize).min(samples.len()),
-            EndBy::Valve => until(&|sample| sample.get(Quantity::UOut) >= OPEN),
-            EndBy::Target => until(&|sample| !is_up(sample.get(Quantity::Target) as f32, peep)),
+            EndBy::Valve | EndBy::Found => until(&|sample| sample.get(Quantity::UOut) >= OPEN),
+            EndBy::Target => {
+                let is_up = |sample: &TableRow| is_up(sample.get(Quantity::Target) as f32, peep);
+                // PEEP may have been changed just before.
+                let begin = samples.iter().position(is_up).unwrap_or(0);
+                begin + samples[begin..].iter().take_while(|sample| is_up(sample)).count()
+            }
         }
     }
 
+    /// PIP without a set-point, which an end that is found late does not change.
     fn plateau(&self, inspiration: &[TableRow]) -> f32 {
         let rows = ((PLATEAU_S / self.period_s).round() as usize).clamp(1, inspiration.len());
         let last = &inspiration[inspiration.len() - rows..];
-        (last.iter().map(|sample| sample.get(Quantity::Pressure)).sum::<f64>() / rows as f64) as f32
+        middle(last.iter().map(|sample| sample.get(Quantity::Pressure)).collect()).unwrap_or_default() as f32
     }
+}
+
+/// The middle value; none of none.
+fn middle(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len().saturating_sub(1) / 2).copied()
 }
 
 /// A pressure setting, cmH2O, without the rounding error of its transmission.
@@ -216,8 +216,8 @@ fn setting(target: f64) -> f32 {
     ((target * 100.0).round() / 100.0) as f32
 }
 
-/// The samples on the grid; `None` if they are on it already. Measured values are interpolated linearly; valve commands
-/// and set-points hold until the next row.
+/// The samples on the grid; `None` if they are on it already. All values are interpolated alike, linearly, except across an edge of the
+/// set-point or of the expiratory valve: there a tick takes the nearer row whole, so that pressure and target keep belonging together.
 fn evened(samples: &[TableRow], period_s: f64, counts: &mut ImportSummary) -> Option<Vec<TableRow>> {
     let time = |n: usize| samples[n].get(Quantity::Time) - samples[0].get(Quantity::Time);
     let off = (0..samples.len()).map(|n| (time(n) - n as f64 * period_s).abs()).fold(0.0, f64::max);
@@ -239,14 +239,23 @@ fn evened(samples: &[TableRow], period_s: f64, counts: &mut ImportSummary) -> Op
                     return samples[0];
                 };
                 let span = time(after) - time(after - 1);
-                let share = ((now - time(after - 1)) / span).clamp(0.0, 1.0);
-                let mut sample = if share < 1.0 { *a } else { *b };
-                for quantity in [Quantity::Pressure, Quantity::UIn, Quantity::FlowIn, Quantity::FlowOut] {
-                    let (a, b) = (a.get(quantity), b.get(quantity));
-                    sample.fields[quantity as usize] = a + share * (b - a);
-                }
-                sample
+                between(a, b, ((now - time(after - 1)) / span).clamp(0.0, 1.0))
             })
             .collect(),
     )
+}
+
+/// The row at a share of the way from one row to the next.
+fn between(a: &TableRow, b: &TableRow, share: f64) -> TableRow {
+    let nearer = if share < 0.5 { *a } else { *b };
+    let step = b.get(Quantity::Target) - a.get(Quantity::Target);
+    let open = |row: &TableRow| row.get(Quantity::UOut) >= OPEN;
+    if step.abs() > EDGE || open(a) != open(b) {
+        return nearer;
+    }
+    let mut row = nearer;
+    for (value, (a, b)) in row.fields.iter_mut().zip(a.fields.iter().zip(b.fields)) {
+        *value = a + share * (b - a);
+    }
+    row
 }

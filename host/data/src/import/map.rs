@@ -1,11 +1,12 @@
 //! The column map: which column contains which quantity, in which unit; as typed in TOML, and as checked.
 
+use std::fmt;
 use std::path::Path;
 
 use serde::Deserialize;
 use thiserror::Error;
 
-/// Quantities that a row can have, in the order of the reader's `Fields`.
+/// Quantities that a row can have, in the order of its fields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// Time in seconds from any origin.
@@ -32,6 +33,10 @@ pub enum Quantity {
 
 /// Number of quantities.
 pub const QUANTITIES: usize = 10;
+
+/// Units of flows, and of a volume as the flow that makes it: name and factor to L/s and L.
+const FLOWS: &[(&str, f64)] = &[("L/s", 1.0), ("L/min", 1.0 / 60.0), ("mL/s", 1e-3), ("mL/min", 1e-3 / 60.0)];
+const VOLUMES: &[(&str, f64)] = &[("L", 1.0), ("mL", 1e-3)];
 
 /// The unit of a command from 0 to 1.
 const SHARE: &str = "share";
@@ -83,9 +88,7 @@ impl Quantity {
             Self::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)],
             Self::Pressure | Self::Target => PRESSURES,
             Self::UIn | Self::UOut | Self::UPsol => &[("percent", 1.0), (SHARE, 100.0)],
-            Self::FlowIn | Self::FlowOut => {
-                &[("L/s", 1.0), ("L/min", 1.0 / 60.0), ("mL/s", 1e-3), ("mL/min", 1e-3 / 60.0)]
-            }
+            Self::FlowIn | Self::FlowOut => FLOWS,
             Self::Resistance => &[("cmH2O/(L/s)", 1.0), ("hPa/(L/s)", 1.019_716), ("kPa/(L/s)", 10.197_16)],
             Self::Compliance => {
                 &[("mL/cmH2O", 1.0), ("L/cmH2O", 1000.0), ("mL/hPa", 0.980_665), ("mL/kPa", 0.098_066_5)]
@@ -110,8 +113,8 @@ pub enum MapError {
     /// Unknown unit.
     #[error("[{quantity}] of the column map: unknown unit `{unit}`: write one of {known}")]
     Unit { quantity: &'static str, unit: String, known: String },
-    /// A separator of more than one byte.
-    #[error("the column map's separator `{0}` is none that a table can have: write one ASCII character")]
+    /// A mark of more than one byte.
+    #[error("the column map's `{0}` is no mark that a table can have: write one ASCII character")]
     Separator(char),
     /// A number out of range.
     #[error("{0} of the column map must be a number above 0")]
@@ -119,25 +122,53 @@ pub enum MapError {
     /// A quantity that must be a column has a value.
     #[error("[{0}] of the column map must be a column, not a value: it changes from row to row")]
     NotConstant(&'static str),
-    /// The start of a breath is not defined.
+    /// A single flow beside one for each direction, or a volume beside either.
     #[error(
-        "the column map does not define where a breath starts: give a [breath] column, a [target] that rises, or a \
-         [u_out] that closes"
+        "the column map has several flows: give [flow_in] and [flow_out], or one [flow] with its sign, or a [volume]"
     )]
-    NoStart,
-    /// The end of an inspiration is not defined.
-    #[error(
-        "the column map does not define where an inspiration ends: give a [u_out] that opens, a [target] that falls, \
-         or inspiration_s"
-    )]
-    NoEnd,
+    Flows,
+    /// Neither times nor a period.
+    #[error("the column map has no times: give a [time] column, or period_ms for rows at even steps")]
+    NoTime,
+    /// Columns are counted from one.
+    #[error("the column map has column 0: columns are counted from 1")]
+    NoColumn,
+}
+
+/// A column of a table.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(untagged)]
+pub enum Column {
+    /// The one with this name.
+    Name(String),
+    /// The one at this place, counted from 1; of a table without names.
+    Number(usize),
+}
+
+impl Column {
+    /// The name, if it is known by one.
+    pub fn name(&self) -> Option<&str> {
+        match self {
+            Self::Name(name) => Some(name),
+            Self::Number(_) => None,
+        }
+    }
+}
+
+impl fmt::Display for Column {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Name(name) => f.write_str(name),
+            Self::Number(number) => write!(f, "{number}"),
+        }
+    }
 }
 
 /// A quantity as typed.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
-    column: Option<String>,
+    column: Option<Column>,
     value: Option<f64>,
     unit: Option<String>,
     scale: Option<f64>,
@@ -149,7 +180,7 @@ struct Entry {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Label {
-    column: String,
+    column: Column,
 }
 
 /// The columns that identify test runs.
@@ -157,9 +188,9 @@ struct Label {
 #[serde(deny_unknown_fields)]
 struct Group {
     /// The ventilator's name, or the name of the whole.
-    column: String,
+    column: Column,
     /// The name of the run among those of the ventilator.
-    run: Option<String>,
+    run: Option<Column>,
 }
 
 /// A column map as typed.
@@ -171,11 +202,17 @@ pub struct ColumnMap {
     period_ms: Option<f64>,
     inspiration_s: Option<f64>,
     separator: Option<char>,
+    decimal: Option<char>,
+    comment: Option<char>,
+    #[serde(default)]
+    skip_lines: u64,
     breath: Option<Label>,
     group: Option<Group>,
-    time: Entry,
+    time: Option<Entry>,
     pressure: Entry,
-    u_in: Entry,
+    flow: Option<Entry>,
+    volume: Option<Entry>,
+    u_in: Option<Entry>,
     u_out: Option<Entry>,
     target: Option<Entry>,
     flow_in: Option<Entry>,
@@ -190,8 +227,8 @@ pub struct ColumnMap {
 pub enum ColumnSource {
     /// A column, times a factor, plus an offset, in our unit.
     Column {
-        /// Header of the column.
-        name: String,
+        /// The column.
+        column: Column,
         /// Factor to our unit.
         factor: f64,
         /// Offset added after scaling, in our unit.
@@ -212,6 +249,17 @@ pub enum StartBy {
     Target,
     /// The expiratory valve closes.
     Valve,
+    /// The flow, or the pressure if there is none.
+    Found,
+}
+
+/// A column that becomes the flows in both directions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Signed {
+    /// A flow, positive into the lung.
+    Flow,
+    /// The volume in the lung.
+    Volume,
 }
 
 /// The event that ends an inspiration.
@@ -223,6 +271,8 @@ pub enum EndBy {
     Valve,
     /// The set-point falls.
     Target,
+    /// The flow turns or, if there is none, the pressure falls.
+    Found,
 }
 
 /// A checked column map.
@@ -236,12 +286,20 @@ pub struct TableLayout {
     pub period_s: Option<f64>,
     /// Column separator.
     pub separator: u8,
-    /// Header of the breath column.
-    pub breath: Option<String>,
-    /// Header of the group column.
-    pub group: Option<String>,
-    /// Header of the column of runs within a group.
-    pub run: Option<String>,
+    /// Decimal mark.
+    pub decimal: u8,
+    /// First character of lines that are left out.
+    pub comment: Option<u8>,
+    /// Lines at the start of the file that are left out.
+    pub skip_lines: u64,
+    /// The breath column.
+    pub breath: Option<Column>,
+    /// The group column.
+    pub group: Option<Column>,
+    /// The column of runs within a group.
+    pub run: Option<Column>,
+    /// What the columns of the flows contain instead, if that is one column for both.
+    pub signed: Option<Signed>,
     /// Quantities, in the order of [`Quantity::ALL`].
     pub origins: [Option<ColumnSource>; QUANTITIES],
     /// The event that starts a breath.
@@ -287,9 +345,9 @@ impl ColumnMap {
 
     fn entry(&self, quantity: Quantity) -> Option<&Entry> {
         match quantity {
-            Quantity::Time => Some(&self.time),
+            Quantity::Time => self.time.as_ref(),
             Quantity::Pressure => Some(&self.pressure),
-            Quantity::UIn => Some(&self.u_in),
+            Quantity::UIn => self.u_in.as_ref(),
             Quantity::UOut => self.u_out.as_ref(),
             Quantity::Target => self.target.as_ref(),
             Quantity::FlowIn => self.flow_in.as_ref(),
@@ -310,47 +368,150 @@ impl ColumnMap {
             value => Ok(value),
         };
         let period_s = positive(self.period_ms, "period_ms")?.map(|ms| ms * 1e-3);
+        if self.time.is_none() && period_s.is_none() {
+            return Err(MapError::NoTime);
+        }
         let inspiration_s = positive(self.inspiration_s, "inspiration_s")?;
         let mut origins: [Option<ColumnSource>; QUANTITIES] = Default::default();
         for (origin, quantity) in origins.iter_mut().zip(Quantity::ALL) {
-            *origin = self.entry(quantity).map(|entry| entry.origin(quantity)).transpose()?;
+            let entry = self.entry(quantity);
+            *origin =
+                entry.map(|entry| entry.origin(quantity, quantity.name(), quantity.units())).transpose()?;
         }
-        let separator = match self.separator {
-            Some(character) if !character.is_ascii() => return Err(MapError::Separator(character)),
-            character => character.map_or(b',', |character| character as u8),
-        };
+        let signed = self.signed(&mut origins)?;
+        let separator = mark(self.separator)?.unwrap_or(b',');
         let (valve, target) = (self.u_out.is_some(), self.target.is_some());
         let start = match self.breath {
             Some(_) => StartBy::Number,
             None if target => StartBy::Target,
             None if valve => StartBy::Valve,
-            None => return Err(MapError::NoStart),
+            None => StartBy::Found,
         };
         let end = match inspiration_s {
             Some(seconds) => EndBy::Time(seconds),
             None if valve => EndBy::Valve,
             None if target => EndBy::Target,
-            None => return Err(MapError::NoEnd),
+            None => EndBy::Found,
         };
-        Ok(TableLayout {
+        let (group, breath) = (self.group.as_ref(), self.breath.as_ref());
+        let layout = TableLayout {
             plant: self.plant.clone().unwrap_or_else(|| "unknown".into()),
             note: self.note.clone(),
             period_s,
             separator,
-            breath: self.breath.as_ref().map(|label| label.column.clone()),
-            group: self.group.as_ref().map(|group| group.column.clone()),
-            run: self.group.as_ref().and_then(|group| group.run.clone()),
+            decimal: mark(self.decimal)?.unwrap_or(b'.'),
+            comment: Some(mark(self.comment)?.unwrap_or(b'#')),
+            skip_lines: self.skip_lines,
+            breath: breath.map(|label| label.column.clone()),
+            group: group.map(|group| group.column.clone()),
+            run: group.and_then(|group| group.run.clone()),
+            signed,
             origins,
             start,
             end,
-        })
+        };
+        if layout.columns().any(|column| *column == Column::Number(0)) {
+            return Err(MapError::NoColumn);
+        }
+        Ok(layout)
+    }
+
+    /// Puts a signed flow, or a volume, where the flows are.
+    fn signed(&self, origins: &mut [Option<ColumnSource>; QUANTITIES]) -> Result<Option<Signed>, MapError> {
+        let of = |entry: &Option<Entry>, name, units| {
+            entry.as_ref().map(|entry| entry.origin(Quantity::FlowIn, name, units)).transpose()
+        };
+        let (flow, volume) = (of(&self.flow, "flow", FLOWS)?, of(&self.volume, "volume", VOLUMES)?);
+        let (inward, outward) = (Quantity::FlowIn as usize, Quantity::FlowOut as usize);
+        let each = origins[inward].is_some() || origins[outward].is_some();
+        // Of flow and volume the flow is the better one: both are common in one table.
+        let (signed, origin) = match (flow, volume) {
+            (None, None) => return Ok(None),
+            (Some(_), _) if each => return Err(MapError::Flows),
+            (None, Some(_)) if each => return Ok(None),
+            (Some(flow), _) => (Signed::Flow, flow),
+            (None, Some(volume)) => (Signed::Volume, volume),
+        };
+        (origins[inward], origins[outward]) = (Some(origin.clone()), Some(origin));
+        Ok(Some(signed))
+    }
+}
+
+impl TableLayout {
+    /// The layout of a format that is no table: which quantities its rows have, in our units. Flow or pressure show the breaths.
+    pub fn of_format(plant: &str, note: &str, has: impl Fn(Quantity) -> bool) -> Self {
+        let column = |quantity: Quantity| ColumnSource::Column {
+            column: Column::Name(quantity.name().to_owned()),
+            factor: 1.0,
+            offset: 0.0,
+            share: false,
+        };
+        Self {
+            plant: plant.to_owned(),
+            note: Some(note.to_owned()),
+            period_s: None,
+            separator: b',',
+            decimal: b'.',
+            comment: None,
+            skip_lines: 0,
+            breath: None,
+            group: None,
+            run: None,
+            signed: None,
+            origins: Quantity::ALL.map(|quantity| has(quantity).then(|| column(quantity))),
+            start: StartBy::Found,
+            end: EndBy::Found,
+        }
+    }
+
+    /// All columns that a table needs.
+    pub fn columns(&self) -> impl Iterator<Item = &Column> {
+        let quantities = self.origins.iter().flatten().filter_map(|origin| match origin {
+            ColumnSource::Column { column, .. } => Some(column),
+            ColumnSource::Value(_) => None,
+        });
+        quantities.chain(&self.breath).chain(&self.group).chain(&self.run)
+    }
+
+    /// Whether the rows have this quantity.
+    pub fn has(&self, quantity: Quantity) -> bool {
+        self.origins[quantity as usize].is_some()
+    }
+
+    /// Whether the order of the rows is that of the file: breaths are numbered, and their times may all begin at zero.
+    pub fn is_ordered(&self) -> bool {
+        self.breath.is_some()
+    }
+
+    /// Whether the flows come from a volume.
+    pub fn has_volumes(&self) -> bool {
+        self.signed == Some(Signed::Volume)
+    }
+
+    /// Factor of the times to seconds.
+    pub fn time_factor(&self) -> f64 {
+        match &self.origins[Quantity::Time as usize] {
+            Some(ColumnSource::Column { factor, .. }) => *factor,
+            _ => 1.0,
+        }
+    }
+}
+
+/// A mark of one byte.
+fn mark(typed: Option<char>) -> Result<Option<u8>, MapError> {
+    match typed {
+        Some(character) if !character.is_ascii() => Err(MapError::Separator(character)),
+        character => Ok(character.map(|character| character as u8)),
     }
 }
 
 impl Entry {
-    fn origin(&self, quantity: Quantity) -> Result<ColumnSource, MapError> {
-        let name = quantity.name();
-        let units = quantity.units();
+    fn origin(
+        &self,
+        quantity: Quantity,
+        name: &'static str,
+        units: &[(&str, f64)],
+    ) -> Result<ColumnSource, MapError> {
         let unit = self.unit.as_deref().unwrap_or(units[0].0);
         let Some((_, factor)) = units.iter().find(|(known, _)| *known == unit) else {
             let known = units.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ");
@@ -359,7 +520,7 @@ impl Entry {
         let scale = self.scale.unwrap_or(1.0);
         match (&self.column, self.value) {
             (Some(column), None) => Ok(ColumnSource::Column {
-                name: column.clone(),
+                column: column.clone(),
                 factor: factor * scale,
                 offset: factor * self.offset,
                 share: unit == SHARE,

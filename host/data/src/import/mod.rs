@@ -7,14 +7,18 @@
 pub mod account;
 mod breaths;
 mod inputs;
+mod inspirations;
 pub mod map;
 mod measured;
 mod pirds;
-mod reader;
 mod rises;
+mod rows;
 mod saturation;
+mod survey;
+mod table;
 #[cfg(test)]
 mod tests;
+mod tidy;
 
 use std::path::{Path, PathBuf};
 
@@ -24,10 +28,14 @@ use serde_json::json;
 use self::account::ImportSummary;
 use self::breaths::Assembler;
 use self::inputs::Inputs;
-use self::map::{Quantity, TableLayout};
+use self::inspirations::{Marks, Phased};
+use self::map::{EndBy, Quantity, StartBy, TableLayout};
 pub use self::measured::{measured, measured_recording};
 pub use self::pirds::import_pirds;
-use self::reader::{RowSource, TableReader};
+use self::rows::RowSource;
+use self::survey::{Survey, survey};
+use self::table::TableReader;
+use self::tidy::Tidy;
 use crate::files::check_room;
 use crate::provenance::Provenance;
 use crate::recording::{DatasetError, Extra, RecordingWriter};
@@ -39,6 +47,8 @@ pub const IMPORT: Stage = Stage("read tables, bytes");
 pub const NO_SET_POINT: &str = "no set-point in the tables: target and PIP are the measured plateau, PEEP the pressure before the breath";
 /// A recording is not larger than this part of its tables.
 const BYTES_READ_PER_WRITTEN: u64 = 2;
+/// Position of the expiratory valve from which it counts as open, percent.
+const OPEN: f64 = 50.0;
 /// Number of rows whose time steps determine the sample period.
 const PERIOD_ROWS: usize = 20_000;
 /// Number of rows between two progress reports.
@@ -72,28 +82,75 @@ pub fn import(
         Some(seconds) => (seconds * 1e6).round() as u32,
         None => common_period_us(paths, layout)?,
     };
-    import_rows(&inputs, layout, period_us, out, progress, |path| TableReader::open(path, layout))
+    let period_s = f64::from(period_us) * 1e-6;
+    import_rows(&inputs, layout, period_us, out, progress, |_, path| {
+        TableReader::open(path, layout, period_s)
+    })
 }
 
-/// Converts the rows of files that `open` opens in their order.
+/// The layout with what shows the breaths in all files and, of each file, how.
+fn with_breaths<R: RowSource>(
+    paths: &[PathBuf],
+    layout: &TableLayout,
+    period_s: f64,
+    open: impl Fn(usize, &Path) -> Result<R, DatasetError>,
+) -> Result<(TableLayout, Vec<Marks>), DatasetError> {
+    let mut layout = layout.clone();
+    if layout.start == StartBy::Number && layout.end != EndBy::Found {
+        return Ok((layout, vec![Marks::Own; paths.len()]));
+    }
+    let of = |(n, path): (usize, &PathBuf)| survey(path, open(n, path)?, period_s);
+    let surveys: Vec<Survey> = paths.iter().enumerate().map(of).collect::<Result<_, _>>()?;
+    let target = surveys.iter().all(|survey| !survey.by_target.is_empty());
+    let valve = surveys.iter().all(|survey| !survey.by_valve.is_empty());
+    layout.start = match layout.start {
+        StartBy::Number => StartBy::Number,
+        _ if target => StartBy::Target,
+        _ if valve => StartBy::Valve,
+        _ => StartBy::Found,
+    };
+    layout.end = match layout.end {
+        EndBy::Time(seconds) => EndBy::Time(seconds),
+        _ if valve => EndBy::Valve,
+        _ if target => EndBy::Target,
+        _ => EndBy::Found,
+    };
+    let marks = |survey: Survey| match (layout.start, layout.end) {
+        (StartBy::Target, _) => Marks::Starts(survey.by_target),
+        (StartBy::Valve, _) => Marks::Starts(survey.by_valve),
+        (StartBy::Number, end) if end != EndBy::Found => Marks::Own,
+        _ => Marks::Found(survey.by),
+    };
+    let marks = surveys.into_iter().map(marks).collect();
+    Ok((layout, marks))
+}
+
+/// Converts the rows of files, each of which `open` opens by its number and path.
 fn import_rows<R: RowSource>(
     inputs: &Inputs<'_>,
     layout: &TableLayout,
     period_us: u32,
     out: &Path,
     progress: &Progress<'_>,
-    mut open: impl FnMut(&Path) -> Result<R, DatasetError>,
+    open: impl Fn(usize, &Path) -> Result<R, DatasetError>,
 ) -> Result<ImportSummary, DatasetError> {
+    let period_s = f64::from(period_us) * 1e-6;
+    let in_order = |n: usize, path: &Path| {
+        let ordered = layout.is_ordered();
+        Ok(Tidy::new(open(n, path)?, path, period_s, ordered, layout.has_volumes()))
+    };
+    let (layout, mut marks) = with_breaths(inputs.paths, layout, period_s, in_order)?;
+    let layout = &layout;
     let write = |source| DatasetError::Write { path: out.to_owned(), source };
     check_room(out, inputs.bytes() / BYTES_READ_PER_WRITTEN).map_err(write)?;
     let provenance = provenance(inputs.paths, layout, period_us);
     let writer = RecordingWriter::create(out, provenance, &extras(layout))?;
-    let mut assembler = Assembler::new(layout, f64::from(period_us) * 1e-6, writer);
+    let mut assembler = Assembler::new(layout, period_s, writer);
     let mut groups = Vec::new();
     let mut bytes = 0;
     let task = progress.task(IMPORT, inputs.bytes() as usize);
-    for path in inputs.paths {
-        let mut reader = open(path)?;
+    for (n, path) in inputs.paths.iter().enumerate() {
+        let mut reader = Phased::new(in_order(n, path)?, std::mem::replace(&mut marks[n], Marks::Own));
         // A line that is being written is not wrong, but not complete.
         let or_changed = |error| inputs.check().err().unwrap_or(error);
         while let Some(sample) = reader.next(&mut groups).map_err(or_changed)? {
@@ -104,13 +161,13 @@ fn import_rows<R: RowSource>(
             }
         }
         assembler.end_of_stretch()?;
-        assembler.account.end_of_table(reader.unused());
+        assembler.account.end_of_table(reader.unused(), reader.disorder());
         bytes += reader.position();
         goes_on(&task)?;
     }
     inputs.check()?;
     let Assembler { account, mut writer, .. } = assembler;
-    let summary = account.finish(period_us, groups.len());
+    let summary = account.finish(period_us, groups.len(), breaths_from(layout));
     if summary.breaths == 0 {
         let rows = summary.rows;
         return Err(DatasetError::NoBreath { rows, seconds: rows as f64 * f64::from(period_us) * 1e-6 });
@@ -121,6 +178,17 @@ fn import_rows<R: RowSource>(
     Ok(summary)
 }
 
+/// What shows the breaths, in words.
+fn breaths_from(layout: &TableLayout) -> &'static str {
+    match layout.start {
+        StartBy::Number => "the breath column",
+        StartBy::Target => "the set-point",
+        StartBy::Valve => "the expiratory valve",
+        StartBy::Found if layout.has(Quantity::FlowIn) => "the flow",
+        StartBy::Found => "the pressure",
+    }
+}
+
 /// Fails if the user asked to stop. A dropped writer leaves no file behind.
 fn goes_on(task: &Task<'_>) -> Result<(), DatasetError> {
     if task.stopped() { Err(DatasetError::Stopped) } else { Ok(()) }
@@ -128,14 +196,14 @@ fn goes_on(task: &Task<'_>) -> Result<(), DatasetError> {
 
 /// The optional columns that a layout fills.
 fn extras(layout: &TableLayout) -> Vec<Extra> {
-    let filled = EXTRAS.iter().filter(|(_, quantity)| layout.origins[*quantity as usize].is_some());
+    let filled = EXTRAS.iter().filter(|(_, quantity)| layout.has(*quantity));
     filled.map(|(extra, _)| *extra).chain([Extra::Group]).collect()
 }
 
 fn provenance(paths: &[PathBuf], layout: &TableLayout, period_us: u32) -> Provenance {
     let files: Vec<_> =
         paths.iter().filter_map(|path| path.file_name()).map(|name| name.to_string_lossy()).collect();
-    let measured = layout.origins[Quantity::Target as usize].is_none();
+    let measured = !layout.has(Quantity::Target);
     Provenance {
         plant: layout.plant.clone(),
         settings: json!({ "files": files, "columns": format!("{:?}", layout.origins) }),
@@ -163,7 +231,7 @@ fn same_period(paths: &[PathBuf], periods_us: &[u32]) -> Result<u32, DatasetErro
 
 /// Median time step of the first rows of a table.
 fn period_us(path: &Path, layout: &TableLayout) -> Result<u32, DatasetError> {
-    let mut reader = TableReader::open(path, layout)?;
+    let mut reader = TableReader::open(path, layout, 0.0)?;
     let (mut steps, mut last) = (Vec::new(), None);
     while steps.len() < PERIOD_ROWS {
         let Some(sample) = reader.next(&mut Vec::new())? else { break };

@@ -6,6 +6,9 @@ const RISE: f32 = 0.5;
 const REST: f32 = 0.05;
 /// Rest required before a rise, seconds: a table that starts within a rise starts no breath.
 const REST_S: f64 = 0.05;
+/// Rest at a level above PEEP after which a further rise shows that the one before was a step of PEEP, seconds and rows.
+const STEP_S: f64 = 0.15;
+const STEP_ROWS: usize = 3;
 
 /// Whether a set-point is above PEEP, cmH2O.
 pub(super) fn is_up(setpoint: f32, peep: f32) -> bool {
@@ -16,20 +19,33 @@ pub(super) fn is_up(setpoint: f32, peep: f32) -> bool {
 #[derive(Debug, Clone)]
 pub(super) struct Rises {
     rest_rows: usize,
+    step_rows: usize,
     state: Option<State>,
+}
+
+/// What a set-point shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Shown {
+    /// Nothing new.
+    Nothing,
+    /// The start of a breath.
+    Start,
+    /// The start of a breath, and that the start before was only a step of PEEP.
+    StartAfterStep,
 }
 
 #[derive(Debug, Clone, Copy)]
 enum State {
     /// At `level` for `rows` rows.
     Low { level: f32, rows: usize },
-    /// Within a breath; the highest set-point is `peak`.
-    High { peak: f32 },
+    /// Within a breath; the highest set-point is `peak`, and the last `rows` are there.
+    High { peak: f32, rows: usize },
 }
 
 impl Rises {
     pub(super) fn new(period_s: f64) -> Self {
-        Self { rest_rows: (REST_S / period_s).ceil().max(1.0) as usize, state: None }
+        let rows = |seconds: f64, least: usize| ((seconds / period_s).ceil() as usize).max(least);
+        Self { rest_rows: rows(REST_S, 1), step_rows: rows(STEP_S, STEP_ROWS), state: None }
     }
 
     /// Resets the state, as after a gap.
@@ -38,21 +54,30 @@ impl Rises {
     }
 
     /// Whether a breath starts with the next set-point; never with the first, because a rise needs a preceding row.
-    pub(super) fn starts(&mut self, setpoint: f32) -> bool {
-        let mut starts = false;
+    pub(super) fn next(&mut self, setpoint: f32) -> Shown {
+        let mut shown = Shown::Nothing;
         self.state = Some(match self.state {
-            Some(State::High { peak }) if is_up(peak, setpoint) => State::Low { level: setpoint, rows: 1 },
-            Some(State::High { peak }) => State::High { peak: peak.max(setpoint) },
+            Some(State::High { peak, .. }) if is_up(peak, setpoint) => {
+                State::Low { level: setpoint, rows: 1 }
+            }
+            Some(State::High { peak, rows }) if rows >= self.step_rows && is_up(setpoint, peak) => {
+                shown = Shown::StartAfterStep;
+                State::High { peak: setpoint, rows: 1 }
+            }
+            Some(State::High { peak, rows }) if (setpoint - peak).abs() <= REST => {
+                State::High { peak, rows: rows + 1 }
+            }
+            Some(State::High { peak, .. }) => State::High { peak: peak.max(setpoint), rows: 1 },
             Some(State::Low { level, rows }) if rows >= self.rest_rows && is_up(setpoint, level) => {
-                starts = true;
-                State::High { peak: setpoint }
+                shown = Shown::Start;
+                State::High { peak: setpoint, rows: 1 }
             }
             Some(State::Low { level, rows }) if self.rests(setpoint - level, rows) => {
                 State::Low { level, rows: rows + 1 }
             }
             None | Some(State::Low { .. }) => State::Low { level: setpoint, rows: 1 },
         });
-        starts
+        shown
     }
 
     /// A resting set-point may creep up: a slow rise does so in small steps.
@@ -67,8 +92,15 @@ mod tests {
 
     fn starts(parts: &[(f32, usize)]) -> Vec<usize> {
         let setpoints: Vec<f32> = parts.iter().flat_map(|&(level, rows)| vec![level; rows]).collect();
-        let mut rises = Rises::new(0.01);
-        (0..setpoints.len()).filter(|row| rises.starts(setpoints[*row])).collect()
+        let (mut rises, mut starts) = (Rises::new(0.01), Vec::new());
+        for (row, setpoint) in setpoints.into_iter().enumerate() {
+            match rises.next(setpoint) {
+                Shown::Nothing => {}
+                Shown::Start => starts.push(row),
+                Shown::StartAfterStep => *starts.last_mut().unwrap() = row,
+            }
+        }
+        starts
     }
 
     #[test]
@@ -93,6 +125,12 @@ mod tests {
         parts.extend((1..=100).map(|step| (5.0 + 0.1 * step as f32, 1)));
         parts.extend([(15.0, 50), (5.0, 50)]);
         assert_eq!(starts(&parts), [35]);
+    }
+
+    #[test]
+    fn a_step_of_peep_starts_no_breath() {
+        assert_eq!(starts(&[(5.0, 30), (8.0, 40), (15.0, 100), (8.0, 100), (15.0, 9)]), [70, 270]);
+        assert_eq!(starts(&[(5.0, 30), (15.0, 100), (8.0, 100), (5.0, 50), (15.0, 9)]), [30, 280]);
     }
 
     #[test]

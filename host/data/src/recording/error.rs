@@ -65,8 +65,8 @@ pub enum DatasetError {
     #[error("cannot append: the recordings differ in {0}")]
     Different(&'static str),
     /// A line of a table cannot be split into cells.
-    #[error("{path}: {source}: correct or remove that line")]
-    TableLine { path: PathBuf, source: csv::Error },
+    #[error("{path}, line {line}: {reason}: correct or remove that line")]
+    TableLine { path: PathBuf, line: u64, reason: String },
     /// A file is no table that can be read.
     #[error("{path} {reason}")]
     NoTable { path: PathBuf, reason: &'static str },
@@ -84,6 +84,19 @@ pub enum DatasetError {
         "{0} changed while it was read: wait until it is complete, or import a copy; nothing was written"
     )]
     Changed(PathBuf),
+    /// Most rows of a table are out of order.
+    #[error("{path}: time runs backwards in {backwards} of {rows} rows: sort the rows by their times first")]
+    Shuffled { path: PathBuf, backwards: usize, rows: usize },
+    /// The breaths of a table come back after a few rows.
+    #[error(
+        "{path}: breath `{breath}` and others come back again and again: sort the rows by breath and time first"
+    )]
+    Returns { path: PathBuf, breath: String },
+    /// The time stands still.
+    #[error(
+        "{path}: the time stands still in {same} of {rows} rows: name a finer column, or leave [time] out and give period_ms"
+    )]
+    SameTime { path: PathBuf, same: usize, rows: usize },
     /// A line of a PIRDS file is not an event.
     #[error("{path}, line {line}: {reason}")]
     EventLine { path: PathBuf, line: u64, reason: String },
@@ -103,7 +116,7 @@ pub enum DatasetError {
     Stopped,
     /// The tables contain no breath.
     #[error(
-        "no start of a breath found in {rows} rows of {seconds:.1} s: check in the column map what starts a breath, and the unit of [time]"
+        "no start of a breath found in {rows} rows of {seconds:.1} s: check the unit of [time], and which columns show the breaths"
     )]
     NoBreath { rows: usize, seconds: f64 },
     /// There is no table.

@@ -16,7 +16,7 @@ use self::rows::EventRows;
 use self::survey::{Survey, survey};
 use super::account::ImportSummary;
 use super::inputs::Inputs;
-use super::map::{ColumnSource, EndBy, QUANTITIES, Quantity, StartBy, TableLayout};
+use super::map::{EndBy, Quantity, StartBy, TableLayout};
 use super::{import_rows, same_period};
 use crate::pirds::{EventFault, EventReader};
 use crate::recording::DatasetError;
@@ -41,11 +41,7 @@ pub fn import_pirds(
     let periods: Vec<_> = surveys.iter().map(|survey| survey.period_us).collect();
     let period_us = same_period(paths, &periods)?;
     let layout = layout(&surveys);
-    let mut surveys = surveys.into_iter();
-    let open = |path: &Path| {
-        let survey = surveys.next().ok_or(DatasetError::NoTables)?;
-        EventRows::open(path, survey)
-    };
+    let open = |n: usize, path: &Path| EventRows::open(path, &surveys[n]);
     import_rows(&inputs, &layout, period_us, out, progress, open).map_err(|error| match error {
         DatasetError::NoBreath { .. } => {
             unusable(&paths[0], "no breath was found in its pressure or flow: export a longer part")
@@ -57,28 +53,16 @@ pub fn import_pirds(
 /// What the rows of all files have.
 fn layout(surveys: &[Survey]) -> TableLayout {
     let has = |quantity: Quantity| match quantity {
-        Quantity::Time | Quantity::Pressure | Quantity::UOut => true,
+        Quantity::Time | Quantity::Pressure => true,
         Quantity::Target => surveys.iter().all(|survey| survey.phases > 0),
         Quantity::FlowIn | Quantity::FlowOut => surveys.iter().all(|survey| survey.flow.is_some()),
         _ => false,
     };
-    let mut origins: [Option<ColumnSource>; QUANTITIES] = Default::default();
-    for (origin, quantity) in origins.iter_mut().zip(Quantity::ALL) {
-        let name = quantity.name().to_owned();
-        *origin =
-            has(quantity).then_some(ColumnSource::Column { name, factor: 1.0, offset: 0.0, share: false });
-    }
+    let marked = surveys.iter().all(|survey| survey.phases > 0);
     TableLayout {
-        plant: "PIRDS".to_owned(),
-        note: Some(NO_COMMANDS.to_owned()),
-        period_s: None,
-        separator: b',',
-        breath: None,
-        group: None,
-        run: None,
-        origins,
-        start: StartBy::Number,
-        end: EndBy::Valve,
+        start: if marked { StartBy::Number } else { StartBy::Found },
+        end: if marked { EndBy::Valve } else { EndBy::Found },
+        ..TableLayout::of_format("PIRDS", NO_COMMANDS, has)
     }
 }
 

@@ -8,24 +8,16 @@ use super::survey::{FlowSensors, Survey};
 use super::{faulty, open};
 use crate::identity::TestRun;
 use crate::import::map::{QUANTITIES, Quantity};
-use crate::import::reader::{Fields, RowSource, TableRow, index_of};
+use crate::import::rows::{Fields, RowSource, TableRow, index_of};
 use crate::pirds::{Event, EventReader, Measurement, PER_CMH2O, PER_LITRE_PER_SECOND, PhaseMark};
 use crate::recording::{DatasetError, INSPIRATION};
 
-/// Rise of the pressure above its low end from which the patient inhales, cmH2O, in a file without marks and
-/// flow.
-const RISE: f64 = 1.0;
-/// Share of the way back from the highest pressure at which that inspiration has ended.
-const FALLEN: f64 = 0.2;
-/// Share of the high flow from which a flow counts as in or out, in a file without marks.
-const FLOWS: f64 = 0.1;
-
 /// The rows of a file.
 #[derive(Debug)]
-pub(super) struct EventRows {
+pub(super) struct EventRows<'a> {
     path: PathBuf,
     reader: EventReader<BufReader<File>>,
-    survey: Survey,
+    survey: &'a Survey,
     /// Index of the file's group.
     group: Option<u32>,
     /// The running phase and its start, ms.
@@ -36,7 +28,6 @@ pub(super) struct EventRows {
     /// The reading of the pressure whose row is not complete: a flow of the same time may follow.
     open: Option<(u32, TableRow)>,
     last_breath: Option<u32>,
-    inspiration: Inspiration,
 }
 
 /// The latest reading of a flow, and one that belongs to the next row.
@@ -46,8 +37,8 @@ struct LatestFlow {
     next: Option<i32>,
 }
 
-impl EventRows {
-    pub(super) fn open(path: &Path, survey: Survey) -> Result<Self, DatasetError> {
+impl<'a> EventRows<'a> {
+    pub(super) fn open(path: &Path, survey: &'a Survey) -> Result<Self, DatasetError> {
         Ok(Self {
             path: path.to_owned(),
             reader: open(path)?,
@@ -57,7 +48,6 @@ impl EventRows {
             flows: [LatestFlow::default(); 2],
             open: None,
             last_breath: None,
-            inspiration: Inspiration::default(),
             survey,
         })
     }
@@ -110,7 +100,7 @@ impl EventRows {
         TableRow { fields, next_breath, group }
     }
 
-    /// The open row with its flows and, without marks, the phase that these show.
+    /// The open row with its flows.
     fn complete(&mut self) -> Option<TableRow> {
         let (_, mut row) = self.open.take()?;
         let [first, second] = self.flows.map(|flow| f64::from(flow.now) / PER_LITRE_PER_SECOND);
@@ -120,21 +110,11 @@ impl EventRows {
         };
         row.fields[Quantity::FlowIn as usize] = inward;
         row.fields[Quantity::FlowOut as usize] = outward;
-        if self.survey.phases == 0 {
-            row.next_breath = if self.survey.flow.is_some() {
-                let least = FLOWS * f64::from(self.survey.high_flow) / PER_LITRE_PER_SECOND;
-                self.inspiration.by_flow(inward - outward, least)
-            } else {
-                let low = self.relative(self.survey.low);
-                self.inspiration.by_pressure(row.get(Quantity::Pressure), low)
-            };
-            row.fields[Quantity::UOut as usize] = if self.inspiration.inhales { 0.0 } else { 100.0 };
-        }
         Some(row)
     }
 }
 
-impl RowSource for EventRows {
+impl RowSource for EventRows<'_> {
     fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
         let group = *self.group.get_or_insert_with(|| {
             let name = self.path.file_stem().unwrap_or_default().to_string_lossy();
@@ -162,46 +142,5 @@ impl RowSource for EventRows {
 
     fn unused(&self) -> std::collections::BTreeMap<String, usize> {
         self.survey.unused.clone()
-    }
-}
-
-/// Detects inspirations in a file without marks: by the flow or, without one, by the pressure.
-#[derive(Debug, Clone, Copy, Default)]
-struct Inspiration {
-    inhales: bool,
-    /// Whether an expiration has been seen, without which no breath is known to start.
-    exhaled: bool,
-    /// Highest pressure of the inspiration, cmH2O.
-    peak: f64,
-    /// Whether the pressure has come down again since the last inspiration.
-    rested: bool,
-}
-
-impl Inspiration {
-    /// Takes a row's net flow into the lung; `least` is a magnitude that counts as a flow, both in L/s. True
-    /// at the start of an inspiration.
-    fn by_flow(&mut self, flow: f64, least: f64) -> bool {
-        self.becomes(if flow.abs() > least { flow > 0.0 } else { self.inhales })
-    }
-
-    /// Takes a row's pressure; `low` is that between inspirations, both in cmH2O. True at the start of an
-    /// inspiration.
-    fn by_pressure(&mut self, pressure: f64, low: f64) -> bool {
-        if !self.inhales {
-            self.peak = pressure;
-            // Half as high, so that noise starts no breath on the way down.
-            self.rested |= pressure <= low + 0.5 * RISE;
-            return self.becomes(self.rested && pressure > low + RISE);
-        }
-        self.rested = false;
-        self.peak = self.peak.max(pressure);
-        self.becomes(pressure >= low + (1.0 - FALLEN) * (self.peak - low))
-    }
-
-    fn becomes(&mut self, inhales: bool) -> bool {
-        let starts = inhales && !self.inhales && self.exhaled;
-        self.inhales = inhales;
-        self.exhaled |= !inhales;
-        starts
     }
 }

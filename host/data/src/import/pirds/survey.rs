@@ -1,4 +1,4 @@
-//! First pass through a PIRDS file: which sensors it has, how often they read, and in which range.
+//! First pass through a PIRDS file: which sensors it has, and how often they read.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -62,10 +62,6 @@ pub(super) struct Survey {
     pub(super) period_us: u32,
     /// Number of marks of phases.
     pub(super) phases: usize,
-    /// Pressure that is exceeded in 95 % of the readings, in units.
-    pub(super) low: i32,
-    /// Magnitude of the flow that is exceeded in 5 % of the readings, in units.
-    pub(super) high_flow: i32,
     /// Events that no row uses.
     pub(super) unused: Unused,
 }
@@ -134,14 +130,6 @@ pub(super) fn survey(path: &Path, progress: &Progress<'_>) -> Result<Survey, Dat
     }
     let flow = flow(&sensors);
     let (pressure, ambient) = pressure(path, &sensors)?;
-    let high_flow = match flow {
-        Some(FlowSensors::Net(sensor) | FlowSensors::Each { inward: sensor, .. }) => {
-            let readings = &sensors[&sensor];
-            let [low, high] = [0.05, 0.95].map(|share| readings.quantile(share).saturating_abs());
-            low.max(high)
-        }
-        None => 0,
-    };
     for (sensor, readings) in &sensors {
         if !uses(flow, *sensor)
             && *sensor != pressure
@@ -151,11 +139,11 @@ pub(super) fn survey(path: &Path, progress: &Progress<'_>) -> Result<Survey, Dat
         }
     }
     let readings = sensors.entry(pressure).or_default();
-    let (low, period_us) = (readings.quantile(0.05), readings.period_us());
+    let period_us = readings.period_us();
     if period_us == 0 {
         return Err(unusable(path, "the time `ms` does not increase from reading to reading: correct it"));
     }
-    Ok(Survey { pressure, ambient, flow, period_us, phases, low, high_flow, unused })
+    Ok(Survey { pressure, ambient, flow, period_us, phases, unused })
 }
 
 fn count(unused: &mut Unused, name: &str, events: usize) {

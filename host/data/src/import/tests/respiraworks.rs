@@ -154,7 +154,8 @@ fn a_short_line_a_missing_column_and_a_missing_file_are_told_apart() {
     table[10] = "AIR,1,20\n".to_owned();
     let error = import_lines(&table).unwrap_err();
     assert!(
-        matches!(error, DatasetError::TableLine { .. }) && error.to_string().contains("line: 12"),
+        matches!(error, DatasetError::TableLine { .. })
+            && error.to_string().contains("line 12: it has 3 cells"),
         "{error}"
     );
 

@@ -1,0 +1,90 @@
+//! First pass through the rows of a file whose breaths are not numbered: what shows them.
+
+use std::path::Path;
+
+use super::OPEN;
+use super::inspirations::By;
+use super::map::Quantity;
+use super::rises::{Rises, Shown};
+use super::rows::{RowSource, TableRow, interrupted};
+use crate::recording::DatasetError;
+
+/// Rows from which flows and pressures are judged: the first ones, so that memory is bounded.
+const JUDGED: usize = 200_000;
+/// Share of the range of pressures, from its low end, in which the patient exhales.
+const LOW: f64 = 0.2;
+/// Share of the readings below the low end of a range, and above its high end.
+const ENDS: f64 = 0.05;
+/// Share of the flows in expirations below that of a leak: the others belong to the start of an inspiration.
+const LEAK: f64 = 0.75;
+/// Flow of which breaths cannot be told, L/s.
+const LEAST_FLOW: f64 = 0.02;
+
+/// What shows the breaths of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Survey {
+    /// The rows at which the set-point starts breaths.
+    pub by_target: Vec<usize>,
+    /// Those at which the expiratory valve does.
+    pub by_valve: Vec<usize>,
+    /// What else shows them.
+    pub by: By,
+}
+
+/// Reads all rows of a file.
+///
+/// # Errors
+/// Those of its rows, or there are none.
+pub(super) fn survey(path: &Path, mut rows: impl RowSource, period_s: f64) -> Result<Survey, DatasetError> {
+    let mut rises = Rises::new(period_s);
+    let (mut by_target, mut by_valve, mut last) = (Vec::new(), Vec::new(), None::<TableRow>);
+    let (mut pressures, mut flows) = (Vec::new(), Vec::new());
+    let open = |row: &TableRow| row.get(Quantity::UOut) >= OPEN;
+    let mut groups = Vec::new();
+    let mut number = 0;
+    while let Some(row) = rows.next(&mut groups)? {
+        let before = last.replace(row).filter(|last| last.group == row.group);
+        if before.is_none_or(|before| interrupted(&before, &row, period_s)) {
+            rises.reset();
+        }
+        match rises.next(row.get(Quantity::Target) as f32) {
+            Shown::Nothing => {}
+            Shown::Start => by_target.push(number),
+            Shown::StartAfterStep => {
+                by_target.pop();
+                by_target.push(number);
+            }
+        }
+        if before.is_some_and(|before| open(&before)) && !open(&row) {
+            by_valve.push(number);
+        }
+        if pressures.len() < JUDGED {
+            pressures.push(row.get(Quantity::Pressure));
+            flows.push(row.flow());
+        }
+        number += 1;
+    }
+    if last.is_none() {
+        return Err(DatasetError::NoTable { path: path.to_owned(), reason: "has a header, but no rows" });
+    }
+    Ok(Survey { by_target, by_valve, by: shown_by(&pressures, &flows) })
+}
+
+/// Whether flow or pressure shows the breaths, and from which values on.
+fn shown_by(pressures: &[f64], flows: &[f64]) -> By {
+    let [low, high] = [ENDS, 1.0 - ENDS].map(|share| quantile(pressures.to_vec(), share));
+    let exhales = low + LOW * (high - low);
+    let of_expirations = flows.iter().zip(pressures).filter(|(_, pressure)| **pressure <= exhales);
+    let leak = quantile(of_expirations.map(|(flow, _)| *flow).collect(), LEAK).max(0.0);
+    let flow = quantile(flows.to_vec(), 1.0 - ENDS);
+    if flow - leak > LEAST_FLOW { By::Flow { leak, high: flow } } else { By::Pressure { low } }
+}
+
+/// The value below which this share of the values lies; 0 of none.
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let place = (share * (values.len() - 1) as f64) as usize;
+    *values.select_nth_unstable_by(place, f64::total_cmp).1
+}
