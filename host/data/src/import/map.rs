@@ -399,7 +399,8 @@ impl ColumnMap {
             note: self.note.clone(),
             period_s,
             separator,
-            decimal: mark(self.decimal)?.unwrap_or(b'.'),
+            // Where a comma separates no cells, it can only be a decimal one.
+            decimal: mark(self.decimal)?.unwrap_or(if separator == b',' { b'.' } else { b',' }),
             comment: Some(mark(self.comment)?.unwrap_or(b'#')),
             skip_lines: self.skip_lines,
             breath: breath.map(|label| label.column.clone()),
