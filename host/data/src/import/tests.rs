@@ -297,12 +297,9 @@ fn a_file_that_is_no_table_is_told_as_what_it_is_with_what_to_do() {
 #[test]
 fn a_cell_that_is_no_number_is_told_as_what_it_may_be() {
     let rows = mapped(420);
-    for (cell, told) in [
-        (";0,5;", "decimal = \",\""),
-        (";12:00:01;", "is not a number"),
-        (";inf;", "is not finite"),
-        (";;", "is not a number"),
-    ] {
+    for (cell, told) in
+        [(";12:00:01;", "is not a number"), (";inf;", "is not finite"), (";;", "is not a number")]
+    {
         let mut wrong = rows.clone();
         wrong[50] = wrong[50].replace(";30;", cell);
         let refused = from_rows(&wrong).unwrap_err().to_string();

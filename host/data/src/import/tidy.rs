@@ -49,7 +49,7 @@ impl<R: RowSource> Tidy<R> {
             source,
             file: file.to_owned(),
             period_s,
-            window: if ordered { 1 } else { WINDOW },
+            window: if ordered { 0 } else { WINDOW },
             volumes,
             held: VecDeque::with_capacity(WINDOW),
             beyond: None,
@@ -61,6 +61,19 @@ impl<R: RowSource> Tidy<R> {
             last_read: None,
             disorder: Disorder::default(),
         }
+    }
+
+    /// The next row of a source whose order is that of the file.
+    fn next_as_is(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
+        let row = self.source.next(groups)?;
+        match &row {
+            Some(row) => self.count(row),
+            None => self.ended = true,
+        }
+        if self.rows == JUDGED || self.ended {
+            self.judge()?;
+        }
+        Ok(row)
     }
 
     /// Reads rows until enough are held back.
@@ -110,16 +123,15 @@ impl<R: RowSource> Tidy<R> {
     fn belongs(&self, row: &TableRow) -> bool {
         self.held.back().or(self.last.as_ref()).is_none_or(|newest| {
             let back = newest.get(Quantity::Time) - row.get(Quantity::Time);
-            newest.group == row.group && (self.window == 1 || back < WINDOW as f64 * self.period_s)
+            newest.group == row.group && back < WINDOW as f64 * self.period_s
         })
     }
 
     fn hold(&mut self, row: TableRow) {
         let time = row.get(Quantity::Time);
         let later = self.held.iter().rev().take_while(|held| held.get(Quantity::Time) > time).count();
-        let place = if self.window == 1 { self.held.len() } else { self.held.len() - later };
-        self.disorder.reordered += usize::from(place < self.held.len());
-        self.held.insert(place, row);
+        self.disorder.reordered += usize::from(later > 0);
+        self.held.insert(self.held.len() - later, row);
     }
 
     /// Whether a row adds something to the one before.
@@ -131,7 +143,7 @@ impl<R: RowSource> Tidy<R> {
         let count = match row.get(Quantity::Time).total_cmp(&last.get(Quantity::Time)) {
             Ordering::Greater => return true,
             // The assembler takes it for a gap.
-            Ordering::Less if self.window == 1 => return true,
+            Ordering::Less if self.window == 0 => return true,
             Ordering::Less => &mut self.disorder.late,
             Ordering::Equal if same() => &mut self.disorder.repeated,
             Ordering::Equal => &mut self.disorder.same_time,
@@ -157,8 +169,13 @@ impl<R: RowSource> Tidy<R> {
 impl<R: RowSource> RowSource for Tidy<R> {
     fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
         loop {
-            self.fill(groups)?;
-            let Some(row) = self.held.pop_front() else { return Ok(None) };
+            let row = if self.window == 0 {
+                self.next_as_is(groups)?
+            } else {
+                self.fill(groups)?;
+                self.held.pop_front()
+            };
+            let Some(row) = row else { return Ok(None) };
             if !self.is_new(&row) {
                 continue;
             }

@@ -4,6 +4,7 @@
 const DAY: f64 = 86_400.0;
 
 /// A number with this decimal mark; none if the text is no finite number.
+#[inline]
 pub(super) fn number(text: &str, decimal: u8) -> Option<f64> {
     let number = if decimal == b'.' || !text.as_bytes().contains(&decimal) {
         text.parse::<f64>()

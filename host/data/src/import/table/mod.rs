@@ -28,6 +28,8 @@ const PERCENT_SLACK: f64 = 0.1;
 const PRESSURE_MOST: f64 = 500.0;
 /// Command that no valve has, percent: scaled ones may overshoot their range.
 const COMMAND_MOST: f64 = 200.0;
+/// Bytes that are split at a time.
+const BUFFER: usize = 1 << 18;
 /// Lines below the names that may have words, such as units.
 const HEADS_MOST: usize = 3;
 /// Rows from which on the order of breaths is judged.
@@ -71,6 +73,7 @@ impl<'a> TableReader<'a> {
             .delimiter(layout.separator)
             .comment(layout.comment)
             .has_headers(false)
+            .buffer_capacity(BUFFER)
             .from_reader(Box::new(rest) as Box<dyn Read + Send>);
         let find = |column| header.index(path, column);
         let mut places = [None; QUANTITIES];

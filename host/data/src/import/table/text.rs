@@ -1,7 +1,7 @@
 //! The text of a table: unpacked, and in UTF-8 where the file says that it is not.
 
 use std::fs::File;
-use std::io::{self, BufReader, ErrorKind, Read, Seek};
+use std::io::{self, ErrorKind, Read, Seek};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,9 +11,6 @@ use encoding_rs_io::DecodeReaderBytesBuilder;
 use flate2::read::MultiGzDecoder;
 
 use crate::recording::DatasetError;
-
-/// Number of bytes read from the file at a time.
-const BUFFER: usize = 1 << 20;
 
 /// Counts the bytes that are read from a file.
 struct Counted {
@@ -51,7 +48,7 @@ impl Text {
         let start = start_of(&mut file).map_err(failed)?;
         let bytes = Arc::new(AtomicU64::new(0));
         file.rewind().map_err(failed)?;
-        let raw = BufReader::with_capacity(BUFFER, Counted { file, bytes: bytes.clone() });
+        let raw = Counted { file, bytes: bytes.clone() };
         let reader: Box<dyn Read + Send> = if start.starts_with(&[0x1f, 0x8b]) {
             let mut first = MultiGzDecoder::new(File::open(path).map_err(failed)?);
             let within = start_of(&mut first).map_err(failed)?;
@@ -91,6 +88,9 @@ fn decoded(reader: impl Read + Send + 'static, start: &[u8]) -> Box<dyn Read + S
         (false, true) => Some(UTF_16LE),
         _ => None,
     };
+    if unmarked.is_none() && Encoding::for_bom(start).is_none() {
+        return Box::new(reader);
+    }
     let mut builder = DecodeReaderBytesBuilder::new();
     Box::new(builder.encoding(unmarked).bom_override(true).strip_bom(true).build(reader))
 }

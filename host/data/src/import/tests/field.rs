@@ -105,6 +105,9 @@ fn marks_lines_before_the_names_and_units_below_them_do_not_matter() {
     let table_with_commas = table("time;paw;set;flow;exh", &lines(comma));
     sound(&table_with_commas, &format!("separator = ';'\ndecimal = ','\n{FIELD}"), true);
     sound(&table_with_commas, &format!("separator = ';'\n{FIELD}"), true);
+    let points = format!("separator = ';'\ndecimal = '.'\n{FIELD}");
+    let refused = import_bytes(&table_with_commas, &points).unwrap_err().to_string();
+    assert!(refused.contains("decimal = \",\""), "{refused}");
     let rows = lines(plain);
     let before = format!("Ventilator 7; ward B\n# lung, C 20\n\n{NAMES}");
     sound(&table(&before, &rows), FIELD, true);
