@@ -18,7 +18,7 @@ use verdict::{Band, Judged, Kind, Limits, Verdict, judge};
 #[command(after_help = "\
 Examples:
   trainer judge first.parquet
-  trainer judge CT_AIR.csv NPV_AIR.csv --map respiraworks --plots sore-spots
+  trainer judge CT_AIR.csv NPV_AIR.csv --plots sore-spots
   trainer judge measured.csv --map columns.toml --json verdict.json
   trainer judge first.parquet --accuracy 2,4 --overshoot 2     # fails if a breath violates a limit
 
@@ -31,7 +31,7 @@ missing flows, missing set-points and breaths that are cut short.
 Exit status: 0 if every declared limit is kept (or none is declared), 1 if a file cannot be judged,
 2 for wrong arguments, 3 if a breath violates a declared limit.")]
 pub struct Args {
-    /// Recordings (Parquet) or, with --map, tables (CSV); each one is judged alone
+    /// Recordings: Parquet, the file of a known ventilator or, with --map, a table; each one is judged alone
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
     #[command(flatten)]
@@ -123,12 +123,11 @@ impl Command for Args {
     }
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Summary>> {
-        let map = self.map.chosen()?;
         let limits = self.limits.limits();
         let judged = if self.measured { Judged::Measured } else { Judged::True };
         let mut files = Vec::new();
         for file in &self.files {
-            let recording = load(file, map.as_ref(), context)?;
+            let recording = load(file, &self.map, context)?;
             let name = file.display().to_string();
             let verdict =
                 judge(&recording, judged, &limits).with_context(|| format!("cannot judge {name}"))?;

@@ -119,13 +119,15 @@ fn watches(args: &Args, context: &Context<'_>) -> anyhow::Result<Vec<Watch>> {
             watches.push(Watch::bench(title, &bench)?);
         }
     }
-    let map = args.map.chosen()?;
-    ensure!(map.is_none() || !args.recording.is_empty(), "--map is for tables: name one with --recording");
+    ensure!(
+        !args.map.is_given() || !args.recording.is_empty(),
+        "--map is for tables: name one with --recording"
+    );
     for path in &args.recording {
         if path.extension().is_some_and(|ending| ending == "json") {
             watches.extend(replay::blackbox(path)?);
         } else {
-            let recording = load(path, map.as_ref(), context)?;
+            let recording = load(path, &args.map, context)?;
             watches.push(replay::recording(&path.display().to_string(), &recording)?);
         }
     }

@@ -19,7 +19,7 @@ fn a_missing_file() {
     assert!(place.refused("inspect absent.bin").contains("absent.bin"));
     assert!(place.refused("export absent.safetensors --out a.bin").contains("absent.safetensors"));
     assert!(place.refused("evaluate --bench absent.toml").contains("absent.toml"));
-    assert!(place.refused("import absent.csv --map respiraworks --out a.parquet").contains("absent.csv"));
+    assert!(place.refused("import absent.csv --out a.parquet").contains("absent.csv"));
 }
 
 #[test]

@@ -174,7 +174,7 @@ fn table() -> String {
 fn measured_tables_become_a_recording() {
     let place = Place::new();
     std::fs::write(place.path("table.csv"), table()).unwrap();
-    let summary = place.json("import table.csv --map respiraworks --out table.parquet");
+    let summary = place.json("import table.csv --out table.parquet");
     assert_eq!(summary["rows"], 800);
     let recording = Recording::load(place.path("table.parquet")).unwrap();
     assert_eq!(summary["complete_breaths"], recording.inspirations().len());

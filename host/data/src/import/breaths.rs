@@ -184,16 +184,16 @@ impl<'a> Assembler<'a> {
 
     /// Number of rows of the inspiration.
     fn inspiration(&self, samples: &[TableRow], peep: f32) -> usize {
-        let until = |ends: &dyn Fn(&TableRow) -> bool| samples.iter().position(ends).unwrap_or(samples.len());
+        // PEEP may have been changed just before, and a flow needs a few rows to show.
+        let once = |inspires: &dyn Fn(&TableRow) -> bool| {
+            let begin = samples.iter().position(inspires).unwrap_or(0);
+            begin + samples[begin..].iter().take_while(|sample| inspires(sample)).count()
+        };
         match self.layout.end {
             EndBy::Time(seconds) => ((seconds / self.period_s).round() as usize).min(samples.len()),
-            EndBy::Valve | EndBy::Found => until(&|sample| sample.get(Quantity::UOut) >= OPEN),
-            EndBy::Target => {
-                let is_up = |sample: &TableRow| is_up(sample.get(Quantity::Target) as f32, peep);
-                // PEEP may have been changed just before.
-                let begin = samples.iter().position(is_up).unwrap_or(0);
-                begin + samples[begin..].iter().take_while(|sample| is_up(sample)).count()
-            }
+            EndBy::Phase => once(&|sample| sample.inspires),
+            EndBy::Target => once(&|sample| is_up(sample.get(Quantity::Target) as f32, peep)),
+            EndBy::Valve => samples.iter().take_while(|sample| sample.get(Quantity::UOut) < OPEN).count(),
         }
     }
 

@@ -32,7 +32,7 @@ pub(super) enum By {
 /// The running inspiration or expiration.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Inspiration {
-    pub(super) inhales: bool,
+    inhales: bool,
     /// Whether an expiration has been seen, without which no breath is known to start.
     exhaled: bool,
     /// Highest pressure of the inspiration, cmH2O.
@@ -73,11 +73,6 @@ impl Inspiration {
         self.exhaled |= !inhales;
         starts
     }
-
-    /// Command of the expiratory valve that would make this phase, percent.
-    pub(super) fn u_out(self) -> f64 {
-        if self.inhales { 0.0 } else { 100.0 }
-    }
 }
 
 /// How the rows of a file show its breaths.
@@ -87,8 +82,10 @@ pub(super) enum Marks {
     Own,
     /// A survey has found the rows at which breaths start.
     Starts(Vec<usize>),
-    /// Flow or pressure show starts, unless the rows have marks of their own, and ends.
-    Found(By),
+    /// The rows have marks of their own for starts; flow or pressure show ends.
+    Phases(By),
+    /// Flow or pressure show starts and ends.
+    Breaths(By),
 }
 
 /// The rows of a source with the starts of breaths and, where only flow or pressure show them, their phases.
@@ -113,13 +110,15 @@ impl<R: RowSource> RowSource for Phased<R> {
         match &self.marks {
             Marks::Own => {}
             Marks::Starts(starts) => row.next_breath = starts.binary_search(&self.row).is_ok(),
-            Marks::Found(by) => {
+            Marks::Phases(by) | Marks::Breaths(by) => {
                 if self.group.replace(row.group) != Some(row.group) {
                     self.inspiration = Inspiration::default();
                 }
                 let starts = self.inspiration.starts(*by, row.flow(), row.get(Quantity::Pressure));
-                row.next_breath |= starts;
-                row.set(Quantity::UOut, self.inspiration.u_out());
+                if matches!(self.marks, Marks::Breaths(_)) {
+                    row.next_breath = starts;
+                }
+                row.inspires = self.inspiration.inhales;
             }
         }
         self.row += 1;

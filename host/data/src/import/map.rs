@@ -271,8 +271,8 @@ pub enum EndBy {
     Valve,
     /// The set-point falls.
     Target,
-    /// The flow turns or, if there is none, the pressure falls.
-    Found,
+    /// What the file tells of the phase or, if it tells nothing, the flow that turns or the pressure that falls.
+    Phase,
 }
 
 /// A checked column map.
@@ -298,6 +298,10 @@ pub struct TableLayout {
     pub group: Option<Column>,
     /// The column of runs within a group.
     pub run: Option<Column>,
+    /// Line after which the table begins, if it is not at the start of the file.
+    pub after: Option<&'static str>,
+    /// Whether the rows of a format tell the phases of breaths.
+    pub tells_phases: bool,
     /// What the columns of the flows contain instead, if that is one column for both.
     pub signed: Option<Signed>,
     /// Quantities, in the order of [`Quantity::ALL`].
@@ -391,7 +395,7 @@ impl ColumnMap {
             Some(seconds) => EndBy::Time(seconds),
             None if valve => EndBy::Valve,
             None if target => EndBy::Target,
-            None => EndBy::Found,
+            None => EndBy::Phase,
         };
         let (group, breath) = (self.group.as_ref(), self.breath.as_ref());
         let layout = TableLayout {
@@ -403,6 +407,8 @@ impl ColumnMap {
             decimal: mark(self.decimal)?.unwrap_or(if separator == b',' { b'.' } else { b',' }),
             comment: Some(mark(self.comment)?.unwrap_or(b'#')),
             skip_lines: self.skip_lines,
+            after: None,
+            tells_phases: false,
             breath: breath.map(|label| label.column.clone()),
             group: group.map(|group| group.column.clone()),
             run: group.and_then(|group| group.run.clone()),
@@ -455,13 +461,15 @@ impl TableLayout {
             decimal: b'.',
             comment: None,
             skip_lines: 0,
+            after: None,
+            tells_phases: false,
             breath: None,
             group: None,
             run: None,
             signed: None,
             origins: Quantity::ALL.map(|quantity| has(quantity).then(|| column(quantity))),
             start: StartBy::Found,
-            end: EndBy::Found,
+            end: EndBy::Phase,
         }
     }
 

@@ -8,15 +8,20 @@ use super::import;
 use super::map::ColumnMap;
 use crate::recording::Recording;
 
-/// The three measured tables, if available: in the folder given by `EUPNEA_DATA`, else beside the project.
+/// The three measured tables, if available.
 pub fn measured() -> Option<Vec<PathBuf>> {
+    files("respiraworks", &["CT_AIR.csv", "CT_OXY.csv", "NPV_AIR.csv"])
+}
+
+/// Recorded files, if available: in a folder of the one given by `EUPNEA_DATA`, else beside the project.
+pub fn files(folder: &str, names: &[&str]) -> Option<Vec<PathBuf>> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let folder = std::env::var_os("EUPNEA_DATA").map_or_else(beside, PathBuf::from).join("respiraworks");
-    let paths = ["CT_AIR.csv", "CT_OXY.csv", "NPV_AIR.csv"].map(|name| folder.join(name)).to_vec();
+    let folder = std::env::var_os("EUPNEA_DATA").map_or_else(beside, PathBuf::from).join(folder);
+    let paths: Vec<PathBuf> = names.iter().map(|name| folder.join(name)).collect();
     if paths.iter().all(|path| path.exists()) {
         return Some(paths);
     }
-    eprintln!("skipped: no measured tables in {}", folder.display());
+    eprintln!("skipped: no recorded files in {}", folder.display());
     None
 }
 

@@ -6,11 +6,15 @@
 
 pub mod account;
 mod breaths;
+pub mod format;
 mod inputs;
 mod inspirations;
+mod makair;
 pub mod map;
 mod measured;
+mod pb840;
 mod pirds;
+mod propose;
 mod rises;
 mod rows;
 mod saturation;
@@ -27,11 +31,15 @@ use serde_json::json;
 
 use self::account::ImportSummary;
 use self::breaths::Assembler;
+use self::format::Format;
 use self::inputs::Inputs;
 use self::inspirations::{Marks, Phased};
+use self::makair::MakairRows;
 use self::map::{EndBy, Quantity, StartBy, TableLayout};
 pub use self::measured::{measured, measured_recording};
-pub use self::pirds::import_pirds;
+use self::pb840::Pb840Rows;
+pub(crate) use self::pirds::import_pirds;
+pub use self::propose::propose;
 use self::rows::RowSource;
 use self::survey::{Survey, survey};
 use self::table::TableReader;
@@ -65,6 +73,30 @@ const EXTRAS: [(Extra, Quantity); 5] = [
 /// Largest difference of a table's sample period from the first table's, as a share of it.
 const SAME_PERIOD: f64 = 0.05;
 
+/// Converts files of a format, in the given order, into one recording.
+///
+/// # Errors
+/// See [`import`].
+pub fn import_as(
+    format: &Format,
+    paths: &[PathBuf],
+    out: &Path,
+    progress: &Progress<'_>,
+) -> Result<ImportSummary, DatasetError> {
+    match format {
+        Format::Table(layout) => import(paths, layout, out, progress),
+        Format::Pirds => import_pirds(paths, out, progress),
+        Format::Makair => {
+            let layout = makair::layout(paths)?;
+            import_format(paths, &layout, out, progress, |_, path| MakairRows::open(path))
+        }
+        Format::Pb840 => {
+            let layout = pb840::layout();
+            import_format(paths, &layout, out, progress, |_, path| Pb840Rows::open(path))
+        }
+    }
+}
+
 /// Converts tables, in the given order, into one recording.
 ///
 /// # Errors
@@ -77,15 +109,24 @@ pub fn import(
     out: &Path,
     progress: &Progress<'_>,
 ) -> Result<ImportSummary, DatasetError> {
+    let period_s = layout.period_s.unwrap_or_default();
+    import_format(paths, layout, out, progress, |_, path| TableReader::open(path, layout, period_s))
+}
+
+/// Converts files that `open` opens by their number and path.
+fn import_format<R: RowSource>(
+    paths: &[PathBuf],
+    layout: &TableLayout,
+    out: &Path,
+    progress: &Progress<'_>,
+    open: impl Fn(usize, &Path) -> Result<R, DatasetError>,
+) -> Result<ImportSummary, DatasetError> {
     let inputs = Inputs::new(paths);
     let period_us = match layout.period_s {
         Some(seconds) => (seconds * 1e6).round() as u32,
-        None => common_period_us(paths, layout)?,
+        None => common_period_us(paths, &open)?,
     };
-    let period_s = f64::from(period_us) * 1e-6;
-    import_rows(&inputs, layout, period_us, out, progress, |_, path| {
-        TableReader::open(path, layout, period_s)
-    })
+    import_rows(&inputs, layout, period_us, out, progress, open)
 }
 
 /// The layout with what shows the breaths in all files and, of each file, how.
@@ -96,7 +137,7 @@ fn with_breaths<R: RowSource>(
     open: impl Fn(usize, &Path) -> Result<R, DatasetError>,
 ) -> Result<(TableLayout, Vec<Marks>), DatasetError> {
     let mut layout = layout.clone();
-    if layout.start == StartBy::Number && layout.end != EndBy::Found {
+    if layout.start == StartBy::Number && (layout.end != EndBy::Phase || layout.tells_phases) {
         return Ok((layout, vec![Marks::Own; paths.len()]));
     }
     let of = |(n, path): (usize, &PathBuf)| survey(path, open(n, path)?, period_s);
@@ -113,13 +154,14 @@ fn with_breaths<R: RowSource>(
         EndBy::Time(seconds) => EndBy::Time(seconds),
         _ if valve => EndBy::Valve,
         _ if target => EndBy::Target,
-        _ => EndBy::Found,
+        _ => EndBy::Phase,
     };
     let marks = |survey: Survey| match (layout.start, layout.end) {
         (StartBy::Target, _) => Marks::Starts(survey.by_target),
         (StartBy::Valve, _) => Marks::Starts(survey.by_valve),
-        (StartBy::Number, end) if end != EndBy::Found => Marks::Own,
-        _ => Marks::Found(survey.by),
+        (StartBy::Number, end) if end != EndBy::Phase => Marks::Own,
+        (StartBy::Number, _) => Marks::Phases(survey.by),
+        (StartBy::Found, _) => Marks::Breaths(survey.by),
     };
     let marks = surveys.into_iter().map(marks).collect();
     Ok((layout, marks))
@@ -212,9 +254,13 @@ fn provenance(paths: &[PathBuf], layout: &TableLayout, period_us: u32) -> Proven
     }
 }
 
-/// The sample period of the first table, which the others must share.
-fn common_period_us(paths: &[PathBuf], layout: &TableLayout) -> Result<u32, DatasetError> {
-    let periods = paths.iter().map(|path| period_us(path, layout)).collect::<Result<Vec<_>, _>>()?;
+/// The sample period of the first file, which the others must share.
+fn common_period_us<R: RowSource>(
+    paths: &[PathBuf],
+    open: impl Fn(usize, &Path) -> Result<R, DatasetError>,
+) -> Result<u32, DatasetError> {
+    let of = |(n, path): (usize, &PathBuf)| period_us(path, open(n, path)?);
+    let periods = paths.iter().enumerate().map(of).collect::<Result<Vec<_>, _>>()?;
     same_period(paths, &periods)
 }
 
@@ -229,9 +275,8 @@ fn same_period(paths: &[PathBuf], periods_us: &[u32]) -> Result<u32, DatasetErro
     }
 }
 
-/// Median time step of the first rows of a table.
-fn period_us(path: &Path, layout: &TableLayout) -> Result<u32, DatasetError> {
-    let mut reader = TableReader::open(path, layout, 0.0)?;
+/// Median time step of the first rows of a file.
+fn period_us(path: &Path, mut reader: impl RowSource) -> Result<u32, DatasetError> {
     let (mut steps, mut last) = (Vec::new(), None);
     while steps.len() < PERIOD_ROWS {
         let Some(sample) = reader.next(&mut Vec::new())? else { break };

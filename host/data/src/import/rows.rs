@@ -18,6 +18,8 @@ pub struct TableRow {
     pub fields: Fields,
     /// Whether the breath column's value differs from the previous row's.
     pub next_breath: bool,
+    /// Whether the patient inhales, where the file tells or [`super::inspirations`] has found it.
+    pub inspires: bool,
     /// Index of the group.
     pub group: u32,
 }

@@ -1,6 +1,7 @@
 //! Generated tables in third-party layouts.
 
 mod field;
+mod formats;
 mod respiraworks;
 
 use std::fmt::Write as _;

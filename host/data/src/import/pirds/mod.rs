@@ -61,7 +61,8 @@ fn layout(surveys: &[Survey]) -> TableLayout {
     let marked = surveys.iter().all(|survey| survey.phases > 0);
     TableLayout {
         start: if marked { StartBy::Number } else { StartBy::Found },
-        end: if marked { EndBy::Valve } else { EndBy::Found },
+        end: EndBy::Phase,
+        tells_phases: marked,
         ..TableLayout::of_format("PIRDS", NO_COMMANDS, has)
     }
 }

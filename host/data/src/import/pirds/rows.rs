@@ -91,13 +91,13 @@ impl<'a> EventRows<'a> {
         set(Quantity::Time, f64::from(ms) * 1e-3);
         set(Quantity::Pressure, self.relative(value));
         set(Quantity::UIn, f64::NAN);
-        let mut next_breath = false;
+        let (mut next_breath, mut inspires) = (false, false);
         if let Some((start, mark)) = self.phase {
             set(Quantity::Target, mark.target(ms.saturating_sub(start)).into());
-            set(Quantity::UOut, if mark.phase == INSPIRATION { 0.0 } else { 100.0 });
+            inspires = mark.phase == INSPIRATION;
             next_breath = self.last_breath.replace(mark.breath) != Some(mark.breath);
         }
-        TableRow { fields, next_breath, group }
+        TableRow { fields, next_breath, inspires, group }
     }
 
     /// The open row with its flows.

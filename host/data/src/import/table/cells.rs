@@ -5,7 +5,7 @@ const DAY: f64 = 86_400.0;
 
 /// A number with this decimal mark; none if the text is no finite number.
 #[inline]
-pub(super) fn number(text: &str, decimal: u8) -> Option<f64> {
+pub(in crate::import) fn number(text: &str, decimal: u8) -> Option<f64> {
     let number = if decimal == b'.' || !text.as_bytes().contains(&decimal) {
         text.parse::<f64>()
     } else {
@@ -21,7 +21,7 @@ pub(super) fn has_decimal_comma(text: &str) -> bool {
 
 /// Times of day, with or without a date before them, as seconds since the first midnight.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Clock {
+pub(in crate::import) struct Clock {
     days: f64,
     last: Option<f64>,
 }
@@ -29,7 +29,7 @@ pub(super) struct Clock {
 impl Clock {
     /// The time that a text tells: hours, minutes and seconds with their fraction, after a point, a comma or a colon. A date is not read:
     /// a time that is half a day earlier than the one before belongs to the next day.
-    pub(super) fn seconds(&mut self, text: &str) -> Option<f64> {
+    pub(in crate::import) fn seconds(&mut self, text: &str) -> Option<f64> {
         let of_day = time_of_day(text)?;
         if self.last.replace(of_day).is_some_and(|last| last - of_day > 0.5 * DAY) {
             self.days += 1.0;

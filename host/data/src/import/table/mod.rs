@@ -1,8 +1,8 @@
 //! Reads the rows of a third-party table as numbers in our units.
 
-mod cells;
+pub(super) mod cells;
 mod header;
-mod text;
+pub(super) mod text;
 
 use std::collections::HashSet;
 use std::collections::hash_map::RandomState;
@@ -73,6 +73,7 @@ impl<'a> TableReader<'a> {
             .delimiter(layout.separator)
             .comment(layout.comment)
             .has_headers(false)
+            .flexible(layout.after.is_some())
             .buffer_capacity(BUFFER)
             .from_reader(Box::new(rest) as Box<dyn Read + Send>);
         let find = |column| header.index(path, column);
@@ -122,7 +123,8 @@ impl<'a> TableReader<'a> {
         let mut cells = self.places.iter().flatten().map(|place| self.line.get(*place).unwrap_or_default());
         cells.all(|cell| {
             let text = text::name(cell);
-            !text.is_empty() && number(&text, self.layout.decimal).is_none() && !text.contains(':')
+            let time = Clock::default().seconds(&text);
+            !text.is_empty() && number(&text, self.layout.decimal).is_none() && time.is_none()
         })
     }
 
@@ -212,7 +214,7 @@ impl<'a> TableReader<'a> {
 
     /// The row in the current line.
     fn row(&mut self) -> Result<TableRow, DatasetError> {
-        let mut row = TableRow { fields: [0.0; QUANTITIES], next_breath: false, group: 0 };
+        let mut row = TableRow { fields: [0.0; QUANTITIES], next_breath: false, inspires: false, group: 0 };
         let layout = self.layout;
         for (quantity, origin) in layout.origins.iter().enumerate() {
             row.fields[quantity] = match origin {

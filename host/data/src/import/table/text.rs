@@ -27,7 +27,7 @@ impl Read for Counted {
 }
 
 /// A file as text.
-pub(super) struct Text {
+pub(in crate::import) struct Text {
     /// The text.
     pub reader: Box<dyn Read + Send>,
     /// Bytes read from the file.
@@ -96,7 +96,7 @@ fn decoded(reader: impl Read + Send + 'static, start: &[u8]) -> Box<dyn Read + S
 }
 
 /// The text of a cell that is no number, such as a name: in UTF-8, or else in the code page of Western Europe.
-pub(super) fn name(cell: &[u8]) -> String {
+pub(in crate::import) fn name(cell: &[u8]) -> String {
     let text = match std::str::from_utf8(cell) {
         Ok(text) => text.to_owned(),
         Err(_) => WINDOWS_1252.decode_without_bom_handling(cell).0.into_owned(),

@@ -1,0 +1,158 @@
+//! Files of the waveforms of a Puritan Bennett 840: for each breath a line `BS, S:` with its number, lines of flow (L/min) and pressure
+//! (cmH2O) at 50 Hz, and a line `BE`. Lines with a date may stand between them, or dates before the values.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::map::{EndBy, QUANTITIES, Quantity, StartBy, TableLayout};
+use super::rows::{RowSource, TableRow, index_of};
+use super::table::text::Text;
+use crate::identity::TestRun;
+use crate::recording::DatasetError;
+
+/// Period of the rows, s.
+const PERIOD_S: f64 = 0.02;
+/// Marks of the start and the end of a breath, and what its number follows.
+const BEGIN: &str = "BS";
+const END: &str = "BE";
+const NUMBER: &str = "S:";
+/// Time left out where breaths are missing: what matters is that it is no period.
+const PAUSE_S: f64 = 1.0;
+/// Litres per minute in a litre per second.
+const PER_LITRE_PER_SECOND: f64 = 60.0;
+/// Values beyond those of any ventilator, L/min and cmH2O.
+const MOST: (f64, f64) = (300.0, 200.0);
+const NOTE: &str = "Puritan Bennett 840: no valve commands and no set-point are recorded, u_in is 0";
+
+/// What the files have.
+pub(super) fn layout() -> TableLayout {
+    let has = |quantity| {
+        matches!(quantity, Quantity::Time | Quantity::Pressure | Quantity::FlowIn | Quantity::FlowOut)
+    };
+    TableLayout {
+        period_s: Some(PERIOD_S),
+        start: StartBy::Number,
+        end: EndBy::Phase,
+        ..TableLayout::of_format("Puritan Bennett 840", NOTE, has)
+    }
+}
+
+/// Whether a line begins a breath.
+pub(super) fn begins_breath(line: &str) -> bool {
+    line.split(',').any(|cell| cell.trim() == BEGIN)
+}
+
+/// The rows of a file.
+pub(super) struct Pb840Rows {
+    path: PathBuf,
+    lines: BufReader<Box<dyn Read + Send>>,
+    bytes: Arc<AtomicU64>,
+    line: Vec<u8>,
+    group: Option<u32>,
+    time_s: f64,
+    /// Number of the running breath; none between two.
+    breath: Option<u64>,
+    last_breath: Option<u64>,
+    begins: bool,
+    unused: BTreeMap<String, usize>,
+}
+
+impl Pb840Rows {
+    pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
+        let Text { reader, bytes } = Text::open(path)?;
+        Ok(Self {
+            path: path.to_owned(),
+            lines: BufReader::new(reader),
+            bytes,
+            line: Vec::new(),
+            group: None,
+            time_s: 0.0,
+            breath: None,
+            last_breath: None,
+            begins: false,
+            unused: BTreeMap::new(),
+        })
+    }
+
+    fn count(&mut self, name: &str) {
+        *self.unused.entry(name.to_owned()).or_default() += 1;
+    }
+
+    /// Takes the line that begins a breath. A number that is not the next one shows that breaths are missing.
+    fn begin(&mut self, line: &str) {
+        let number = line
+            .split_once(NUMBER)
+            .and_then(|(_, number)| number.split(',').next().unwrap_or_default().trim().parse::<u64>().ok());
+        let Some(number) = number else {
+            self.breath = None;
+            self.count("breaths without a number");
+            return;
+        };
+        if self.last_breath.is_some_and(|last| number != last + 1) {
+            self.time_s += PAUSE_S;
+        }
+        (self.breath, self.last_breath, self.begins) = (Some(number), Some(number), true);
+    }
+
+    /// The row in a line of values.
+    fn row(&mut self, line: &str) -> Option<TableRow> {
+        let mut cells = line.rsplit(',').map(|cell| cell.trim().parse::<f64>().ok());
+        let (pressure, flow) = (cells.next()??, cells.next()??);
+        if !(flow.abs() <= MOST.0 && pressure.abs() <= MOST.1) {
+            return None;
+        }
+        let next_breath = std::mem::take(&mut self.begins);
+        let mut row = TableRow { fields: [0.0; QUANTITIES], next_breath, inspires: false, group: 0 };
+        row.set(Quantity::Time, self.time_s);
+        row.set(Quantity::Pressure, pressure);
+        row.set(Quantity::UIn, f64::NAN);
+        row.set_flow(flow / PER_LITRE_PER_SECOND);
+        Some(row)
+    }
+}
+
+impl RowSource for Pb840Rows {
+    fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
+        let group = *self.group.get_or_insert_with(|| {
+            let name = self.path.file_stem().unwrap_or_default().to_string_lossy();
+            index_of(groups, name.as_ref().into())
+        });
+        loop {
+            self.line.clear();
+            let read = |source| DatasetError::Read { path: self.path.clone(), source };
+            if self.lines.read_until(b'\n', &mut self.line).map_err(read)? == 0 {
+                return Ok(None);
+            }
+            // Some files have zero bytes in between.
+            self.line.retain(|byte| *byte != 0);
+            let line = String::from_utf8_lossy(&self.line).trim().to_owned();
+            if line.is_empty() {
+                continue;
+            }
+            if begins_breath(&line) {
+                self.begin(&line);
+            } else if line.split(',').any(|cell| cell.trim() == END) {
+                self.breath = None;
+            } else if self.breath.is_none() {
+                self.count("lines outside of breaths");
+            } else if let Some(row) = self.row(&line) {
+                self.time_s += PERIOD_S;
+                return Ok(Some(TableRow { group, ..row }));
+            } else {
+                self.time_s += PERIOD_S;
+                self.count("lines without flow and pressure");
+            }
+        }
+    }
+
+    fn position(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    fn unused(&self) -> BTreeMap<String, usize> {
+        self.unused.clone()
+    }
+}
