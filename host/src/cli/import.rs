@@ -14,7 +14,7 @@ use data::import::format::Format;
 use data::import::{import_as, propose};
 use data::kind::Kind;
 
-/// Convert third-party recordings: tables, or the files of ventilators
+/// Convert third-party recordings: tables or files of ventilators
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

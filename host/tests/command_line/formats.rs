@@ -54,7 +54,7 @@ fn pirds_of_a_recording_is_imported_and_judged() {
             assert!((found - expected).abs() < 0.05, "{found} {expected}");
         }
     }
-    assert!(place.refused(&format!("import {data} --out b.parquet")).contains("line 1"));
+    assert!(place.refused(&format!("import {data} --out b.parquet")).contains("is a Parquet file"));
     assert!(place.refused("fit back.parquet --out s.safetensors").contains("valve commands"));
 }
 
