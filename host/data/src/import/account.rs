@@ -173,6 +173,8 @@ pub struct ImportSummary {
     pub furthest_from_grid_ms: f64,
     /// Number of gaps in time within or between breaths.
     pub gaps: usize,
+    /// Number of places within breaths at which a few missing rows were filled.
+    pub filled: usize,
     /// Sample period of the recording, microseconds.
     pub period_us: u32,
     /// Shortest and longest time step between consecutive rows without a gap, ms.
@@ -300,6 +302,7 @@ impl fmt::Display for ImportSummary {
             ("breaths", format!("{} ({} complete)", self.breaths, self.complete_breaths)),
             ("  shown by", self.breaths_from.to_owned()),
             ("gaps in time", self.gaps.to_string()),
+            ("short gaps filled", self.filled.to_string()),
             ("sample period", format!("{} ms", f64::from(self.period_us) * 1e-3)),
             ("time steps", format!("{} ms", self.step_ms.text(2))),
             (

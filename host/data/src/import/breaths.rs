@@ -6,7 +6,7 @@ use super::OPEN;
 use super::account::{Account, ImportSummary};
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
 use super::rises::is_up;
-use super::rows::{TableRow, interrupted};
+use super::rows::{Between, TableRow};
 use crate::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, RecordingWriter, Row};
 
 /// A breath is not resampled if all of its rows are within this share of a period from the grid.
@@ -63,7 +63,9 @@ impl<'a> Assembler<'a> {
             self.end_of_stretch()?;
         }
         let numbered = self.layout.start == StartBy::Number && sample.next_breath;
-        let follows = self.last.is_none_or(|last| !interrupted(&last, &sample, self.period_s));
+        let between = self.last.map_or(Between::Nothing, |last| Between::of(&last, &sample, self.period_s));
+        let follows = between != Between::Gap;
+        self.account.counts.filled += usize::from(between == Between::FewRows && self.within);
         if !numbered && (!follows || self.breath.len() >= MOST_ROWS) {
             self.end_of_stretch()?;
             self.after_gap = true;

@@ -47,13 +47,33 @@ impl TableRow {
     }
 }
 
-/// Longest step between consecutive rows, in periods; a longer one is a gap.
+/// Longest step between consecutive rows, in periods; with a longer one, rows are missing.
 const MOST_PERIODS: f64 = 1.75;
+/// Longest step whose missing rows are filled, in periods and seconds; a longer one is a gap.
+const FILLED: (f64, f64) = (5.0, 0.06);
 
-/// Whether a gap in time, or a clock that was set back, lies between two rows.
-pub(super) fn interrupted(last: &TableRow, next: &TableRow, period_s: f64) -> bool {
-    let step = next.get(Quantity::Time) - last.get(Quantity::Time);
-    !(step > 0.0 && step <= MOST_PERIODS * period_s)
+/// What lies between two rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Between {
+    /// About a period.
+    Nothing,
+    /// A few rows are missing: they are filled.
+    FewRows,
+    /// A gap in time, or a clock that was set back.
+    Gap,
+}
+
+impl Between {
+    pub(super) fn of(last: &TableRow, next: &TableRow, period_s: f64) -> Self {
+        let step = next.get(Quantity::Time) - last.get(Quantity::Time);
+        if step > 0.0 && step <= MOST_PERIODS * period_s {
+            Self::Nothing
+        } else if step > 0.0 && step <= (FILLED.0 * period_s).min(FILLED.1) {
+            Self::FewRows
+        } else {
+            Self::Gap
+        }
+    }
 }
 
 /// What became of rows that were read but are not in the recording, or not where they were.

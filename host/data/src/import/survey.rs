@@ -6,7 +6,7 @@ use super::OPEN;
 use super::inspirations::By;
 use super::map::Quantity;
 use super::rises::{Rises, Shown};
-use super::rows::{RowSource, TableRow, interrupted};
+use super::rows::{Between, RowSource, TableRow};
 use crate::recording::DatasetError;
 
 /// Rows from which flows and pressures are judged: the first ones, so that memory is bounded.
@@ -44,7 +44,7 @@ pub(super) fn survey(path: &Path, mut rows: impl RowSource, period_s: f64) -> Re
     let mut number = 0;
     while let Some(row) = rows.next(&mut groups)? {
         let before = last.replace(row).filter(|last| last.group == row.group);
-        if before.is_none_or(|before| interrupted(&before, &row, period_s)) {
+        if before.is_none_or(|before| Between::of(&before, &row, period_s) == Between::Gap) {
             rises.reset();
         }
         match rises.next(row.get(Quantity::Target) as f32) {

@@ -221,6 +221,24 @@ fn rows_that_are_there_twice_or_late_cost_nothing() {
 }
 
 #[test]
+fn a_few_missing_rows_are_filled_and_more_of_them_end_the_breath() {
+    let mut rows = lines(plain);
+    let kept = |rows: &[String]| import_bytes(&table(NAMES, rows), FIELD).unwrap();
+    let whole = kept(&rows).0;
+    rows.drain(410..412);
+    rows.drain(700..701);
+    let summary = sound(&table(NAMES, &rows), FIELD, true);
+    assert_eq!((summary.filled, summary.gaps), (2, 0), "{summary}");
+    let filled = kept(&rows).0;
+    assert_eq!(filled.len(), whole.len());
+    let apart = filled.pressure.iter().zip(&whole.pressure).map(|(a, b)| (a - b).abs());
+    assert!(apart.fold(0.0, f32::max) < 0.01);
+    rows.drain(500..503);
+    let (_, summary) = kept(&rows);
+    assert_eq!((summary.filled, summary.gaps), (2, 1), "{summary}");
+}
+
+#[test]
 fn a_table_in_random_order_is_refused_with_what_to_do() {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let mut shuffle = |mut rows: Vec<String>| {
