@@ -50,7 +50,7 @@ impl TableRow {
 /// Longest step between consecutive rows, in periods; with a longer one, rows are missing.
 const MOST_PERIODS: f64 = 1.75;
 /// Longest step whose missing rows are filled, in periods and seconds; a longer one is a gap.
-const FILLED: (f64, f64) = (5.0, 0.06);
+const FILLED: (f64, f64) = (5.0, 0.061);
 
 /// What lies between two rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
