@@ -105,7 +105,7 @@ impl Spooled {
             return Ok(Self { files: files.to_vec(), _folder: None });
         };
         let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
-        let path = folder.path().join("stdin");
+        let path = folder.path().join("standard-input");
         let copied = File::create(&path).and_then(|mut file| io::copy(&mut io::stdin(), &mut file));
         copied.context("cannot keep standard input in a temporary file")?;
         let mut files = files.to_vec();

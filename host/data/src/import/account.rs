@@ -20,6 +20,8 @@ const AT_END: f64 = 1e-6;
 const PRESSURE_USUAL: (f64, f64) = (-60.0, 120.0);
 /// Least change of the pressure in breaths, cmH2O.
 const PRESSURE_LEAST: f64 = 2.0;
+/// Pressure that breaths in kPa stay below.
+const KILOPASCALS: f64 = 6.0;
 /// Flow that patients hardly reach, L/s.
 const FLOW_USUAL: f64 = 6.0;
 
@@ -250,7 +252,7 @@ impl ImportSummary {
         if low < PRESSURE_USUAL.0 {
             questions.push(format!("pressure falls to {low:.0} cmH2O: are its unit and column right?"));
         }
-        if high - low < PRESSURE_LEAST {
+        if high - low < PRESSURE_LEAST && high < KILOPASCALS {
             questions.push(format!("pressure changes by {:.2} cmH2O only: is it in kPa?", high - low));
         }
         let flow = self.flow.high.max(-self.flow.low);

@@ -1,8 +1,8 @@
-//! Imports third-party tables in any layout and PIRDS events: a stream of rows in, a recording in Parquet
-//! out, in bounded memory.
+//! Imports third-party recordings: a stream of rows in, a recording in Parquet out, in bounded memory.
 //!
-//! A [`map::ColumnMap`] gives the quantity and unit of each column of a table. Time may be uneven: breaths
-//! are put on an even grid. Every dropped row is counted in the [`account::ImportSummary`].
+//! A file's [`format`] makes rows of it; a [`map::ColumnMap`] gives the quantity and unit of each column of a table. The rows are put in
+//! order, a survey finds what shows the breaths, and an assembler puts each breath on an even grid. Every row that is left out is counted
+//! in the [`account::ImportSummary`].
 
 pub mod account;
 mod breaths;
@@ -35,13 +35,13 @@ use self::format::Format;
 use self::inputs::Inputs;
 use self::inspirations::{Marks, Phased};
 use self::makair::MakairRows;
-use self::map::{EndBy, Quantity, StartBy, TableLayout};
+use self::map::{Quantity, StartBy, TableLayout};
 pub use self::measured::{measured, measured_recording};
 use self::pb840::Pb840Rows;
 pub(crate) use self::pirds::import_pirds;
 pub use self::propose::propose;
 use self::rows::RowSource;
-use self::survey::{Survey, survey};
+use self::survey::with_breaths;
 use self::table::TableReader;
 use self::tidy::Tidy;
 use crate::files::check_room;
@@ -127,44 +127,6 @@ fn import_format<R: RowSource>(
         None => common_period_us(paths, &open)?,
     };
     import_rows(&inputs, layout, period_us, out, progress, open)
-}
-
-/// The layout with what shows the breaths in all files and, of each file, how.
-fn with_breaths<R: RowSource>(
-    paths: &[PathBuf],
-    layout: &TableLayout,
-    period_s: f64,
-    open: impl Fn(usize, &Path) -> Result<R, DatasetError>,
-) -> Result<(TableLayout, Vec<Marks>), DatasetError> {
-    let mut layout = layout.clone();
-    if layout.start == StartBy::Number && (layout.end != EndBy::Phase || layout.tells_phases) {
-        return Ok((layout, vec![Marks::Own; paths.len()]));
-    }
-    let of = |(n, path): (usize, &PathBuf)| survey(path, open(n, path)?, period_s);
-    let surveys: Vec<Survey> = paths.iter().enumerate().map(of).collect::<Result<_, _>>()?;
-    let target = surveys.iter().all(|survey| !survey.by_target.is_empty());
-    let valve = surveys.iter().all(|survey| !survey.by_valve.is_empty());
-    layout.start = match layout.start {
-        StartBy::Number => StartBy::Number,
-        _ if target => StartBy::Target,
-        _ if valve => StartBy::Valve,
-        _ => StartBy::Found,
-    };
-    layout.end = match layout.end {
-        EndBy::Time(seconds) => EndBy::Time(seconds),
-        _ if valve => EndBy::Valve,
-        _ if target => EndBy::Target,
-        _ => EndBy::Phase,
-    };
-    let marks = |survey: Survey| match (layout.start, layout.end) {
-        (StartBy::Target, _) => Marks::Starts(survey.by_target),
-        (StartBy::Valve, _) => Marks::Starts(survey.by_valve),
-        (StartBy::Number, end) if end != EndBy::Phase => Marks::Own,
-        (StartBy::Number, _) => Marks::Phases(survey.by),
-        (StartBy::Found, _) => Marks::Breaths(survey.by),
-    };
-    let marks = surveys.into_iter().map(marks).collect();
-    Ok((layout, marks))
 }
 
 /// Converts the rows of files, each of which `open` opens by its number and path.

@@ -1,10 +1,10 @@
-//! First pass through the rows of a file whose breaths are not numbered: what shows them.
+//! First pass through the rows of files whose breaths are not numbered: what shows them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::OPEN;
-use super::inspirations::By;
-use super::map::Quantity;
+use super::inspirations::{By, Marks};
+use super::map::{EndBy, Quantity, StartBy, TableLayout};
 use super::rises::{Rises, Shown};
 use super::rows::{Between, RowSource, TableRow};
 use crate::recording::DatasetError;
@@ -20,22 +20,60 @@ const LEAK: f64 = 0.75;
 /// Flow of which breaths cannot be told, L/s.
 const LEAST_FLOW: f64 = 0.02;
 
+/// The layout with what shows the breaths in all files and, of each file, how.
+pub(super) fn with_breaths<R: RowSource>(
+    paths: &[PathBuf],
+    layout: &TableLayout,
+    period_s: f64,
+    open: impl Fn(usize, &Path) -> Result<R, DatasetError>,
+) -> Result<(TableLayout, Vec<Marks>), DatasetError> {
+    let mut layout = layout.clone();
+    if layout.start == StartBy::Number && (layout.end != EndBy::Phase || layout.tells_phases) {
+        return Ok((layout, vec![Marks::Own; paths.len()]));
+    }
+    let of = |(n, path): (usize, &PathBuf)| survey(path, open(n, path)?, period_s);
+    let surveys: Vec<Survey> = paths.iter().enumerate().map(of).collect::<Result<_, _>>()?;
+    let target = surveys.iter().all(|survey| !survey.by_target.is_empty());
+    let valve = surveys.iter().all(|survey| !survey.by_valve.is_empty());
+    layout.start = match layout.start {
+        StartBy::Number => StartBy::Number,
+        _ if target => StartBy::Target,
+        _ if valve => StartBy::Valve,
+        _ => StartBy::Found,
+    };
+    layout.end = match layout.end {
+        EndBy::Time(seconds) => EndBy::Time(seconds),
+        _ if valve => EndBy::Valve,
+        _ if target => EndBy::Target,
+        _ => EndBy::Phase,
+    };
+    let marks = |survey: Survey| match (layout.start, layout.end) {
+        (StartBy::Target, _) => Marks::Starts(survey.by_target),
+        (StartBy::Valve, _) => Marks::Starts(survey.by_valve),
+        (StartBy::Number, end) if end != EndBy::Phase => Marks::Own,
+        (StartBy::Number, _) => Marks::Phases(survey.by),
+        (StartBy::Found, _) => Marks::Breaths(survey.by),
+    };
+    let marks = surveys.into_iter().map(marks).collect();
+    Ok((layout, marks))
+}
+
 /// What shows the breaths of a file.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Survey {
+struct Survey {
     /// The rows at which the set-point starts breaths.
-    pub by_target: Vec<usize>,
+    by_target: Vec<usize>,
     /// Those at which the expiratory valve does.
-    pub by_valve: Vec<usize>,
+    by_valve: Vec<usize>,
     /// What else shows them.
-    pub by: By,
+    by: By,
 }
 
 /// Reads all rows of a file.
 ///
 /// # Errors
 /// Those of its rows, or there are none.
-pub(super) fn survey(path: &Path, mut rows: impl RowSource, period_s: f64) -> Result<Survey, DatasetError> {
+fn survey(path: &Path, mut rows: impl RowSource, period_s: f64) -> Result<Survey, DatasetError> {
     let mut rises = Rises::new(period_s);
     let (mut by_target, mut by_valve, mut last) = (Vec::new(), Vec::new(), None::<TableRow>);
     let (mut pressures, mut flows) = (Vec::new(), Vec::new());
