@@ -219,7 +219,7 @@ fn the_residual_of_a_trace_is_what_was_added_to_the_pid() {
     let pid = Pid::new(PidGains { p: 10.0, i: 60.0, d: 0.02 }, DEFAULT_PERIOD_US).unwrap();
     let settings = paper_settings(35.0);
     for added in [0.0, 7.0, -7.0] {
-        let law = Raised(pid.clone(), added);
+        let law = Raised(pid, added);
         let trace = trace_after(1, &lung(), &law, &settings, DEFAULT_PERIOD_US, 1, 2).unwrap();
         assert!(trace.u_in.contains(&100.0), "the command is saturated at first");
         let residual = trace.residual(&pid);

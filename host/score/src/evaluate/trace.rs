@@ -69,7 +69,7 @@ fn pid_under(pid: &Pid, state: &mut PidState, pressure: f32, target: f32, comman
         f32::MIN
     } else {
         let integral = state.integral;
-        let mut alone = state.clone();
+        let mut alone = *state;
         pid.step(&mut alone, &seen, 0.0);
         command - (pid.gains().p * (target - pressure) + integral + alone.derivative)
     };
