@@ -38,7 +38,7 @@ impl MapArgs {
         }
         let name = named.map_or_else(|| Format::name_of(file), Ok)?;
         let Some(format) = Format::named(name) else {
-            let file = quoted(&file.display().to_string());
+            let file = quoted(file.display().to_string());
             bail!(
                 "{file} is a table of no known format: name its columns with --map; `trainer import {file} --propose-map \
                  columns.toml` proposes a map"
