@@ -209,8 +209,10 @@ impl Figures {
                 .collect();
             self.end_expiration = (!end.is_empty()).then(|| mean(&end));
         } else {
-            self.remarks
-                .push("no end of expiration: the breath is shorter than others, or the only one".to_owned());
+            self.remarks.push(
+                "no end of expiration: the breath is shorter than those around it, or the only one"
+                    .to_owned(),
+            );
         }
         let half = 0.5 * (curve.peep + self.level);
         let inspiration = curve.pressure.iter().enumerate().map(|(tick, pressure)| (tick as u32, *pressure));

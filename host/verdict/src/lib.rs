@@ -48,8 +48,10 @@ use data::import::NO_SET_POINT;
 use data::recording::Recording;
 use data::recording::quality::noise;
 
-/// Length of a breath as a share of its lung's usual one, below which its end counts as missing.
+/// Length of a breath as a share of the one usual around it, below which its end counts as missing.
 const WHOLE: f64 = 0.9;
+/// Number of breaths before and after one that show what is usual.
+const AROUND: usize = 2;
 /// Litres per second in litres per minute.
 const L_PER_MIN: f64 = 60.0;
 
@@ -210,7 +212,7 @@ impl RecordingContext<'_> {
         let curves: Vec<_> =
             all.iter().map(|rows| BreathCurve::new(self.recording, self.pressure, rows.clone())).collect();
         let sound = || all.iter().zip(&curves).filter_map(|(rows, curve)| Some((rows, curve.as_ref().ok()?)));
-        let lengths = usual(sound().map(|(rows, curve)| (self.lung_key(rows), curve.length_s())));
+        let lengths = usual(sound().map(|(rows, curve)| (rows.start, self.lung_key(rows), curve.length_s())));
         let settled = |level: fn(&BreathCurve) -> f64| {
             if self.set_point { Settled::exact() } else { Settled::measured(sound().map(|(_, c)| level(c))) }
         };
@@ -220,7 +222,8 @@ impl RecordingContext<'_> {
             let (pip, peep) = settings(curve);
             (self.lung_key(rows), pip.to_bits(), peep.to_bits())
         };
-        let inspirations = usual(sound().map(|(rows, curve)| (key(rows, curve), curve.inspiration_s())));
+        let inspirations =
+            usual(sound().map(|(rows, curve)| (rows.start, key(rows, curve), curve.inspiration_s())));
         let mut lungs: HashMap<LungKey, usize> = HashMap::new();
         let (mut breaths, mut unjudged) = (Vec::new(), Vec::new());
         for (rows, curve) in all.iter().zip(&curves) {
@@ -232,11 +235,11 @@ impl RecordingContext<'_> {
                     continue;
                 }
             };
-            let (usual_length, count) = lengths[&self.lung_key(rows)];
+            let (usual_length, count) = lengths[&rows.start];
             let context = Context {
                 set_point: self.set_point,
                 noise: self.noise,
-                usual_inspiration_s: inspirations[&key(rows, curve)].0,
+                usual_inspiration_s: inspirations[&rows.start].0,
                 whole: count > 1 && curve.length_s() >= WHOLE * usual_length,
             };
             let next = lungs.len();
@@ -280,15 +283,23 @@ impl RecordingContext<'_> {
     }
 }
 
-/// Median and number of the values of each key.
-fn usual<K: Eq + Hash>(values: impl Iterator<Item = (K, f64)>) -> HashMap<K, (f64, usize)> {
-    let mut by_key: HashMap<K, Vec<f64>> = HashMap::new();
-    for (key, value) in values {
-        by_key.entry(key).or_default().push(value);
+/// What is usual around each value, by its place: the median of the values of its key among the [`AROUND`] before and after it, and
+/// the number of values of its key. A run of other values, as after a change of the rate, is soon usual itself.
+fn usual<K: Eq + Hash>(values: impl Iterator<Item = (usize, K, f64)>) -> HashMap<usize, (f64, usize)> {
+    let mut by_key: HashMap<K, Vec<(usize, f64)>> = HashMap::new();
+    for (place, key, value) in values {
+        by_key.entry(key).or_default().push((place, value));
     }
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        (values[values.len() / 2], values.len())
+    let around = |values: &[(usize, f64)], n: usize| {
+        let mut near: Vec<f64> = values[n.saturating_sub(AROUND)..values.len().min(n + AROUND + 1)]
+            .iter()
+            .map(|(_, v)| *v)
+            .collect();
+        near.sort_by(f64::total_cmp);
+        near[near.len() / 2]
     };
-    by_key.into_iter().map(|(key, values)| (key, median(values))).collect()
+    let of_key = |values: &Vec<(usize, f64)>| -> Vec<(usize, (f64, usize))> {
+        (0..values.len()).map(|n| (values[n].0, (around(values, n), values.len()))).collect()
+    };
+    by_key.values().flat_map(of_key).collect()
 }

@@ -117,6 +117,24 @@ fn a_breath_that_ends_early_has_no_end_of_expiration() {
 }
 
 #[test]
+fn a_run_of_faster_breaths_is_a_new_setting() {
+    let edit = |t: f64, row: &mut Row| {
+        let fast = row.breath >= 9;
+        if fast && t > 0.6 - 1e-6 {
+            row.phase = EXPIRATION;
+        }
+        !fast || t < 1.2 - 1e-6
+    };
+    let verdict = Build { breaths: 17, edit: &edit, ..Build::default() }.verdict();
+    for breath in &verdict.breaths {
+        let figures = &breath.figures;
+        assert!(figures.end_expiration.is_some() && figures.plateau_error.is_some(), "{}", breath.number);
+        assert_eq!((figures.breath_s.is_some(), figures.cut), (true, 0.0), "{}", breath.number);
+    }
+    assert!(verdict.sore_spots.iter().all(|spot| spot.kind != Kind::CutShort));
+}
+
+#[test]
 fn the_length_of_a_single_breath_means_nothing() {
     let alone = Build { breaths: 1, ..Build::default() }.figures();
     assert_eq!((alone.breath_s, alone.end_expiration), (None, None));
