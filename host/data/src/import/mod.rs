@@ -1,6 +1,6 @@
 //! Imports third-party recordings: a stream of rows in, a recording in Parquet out, in bounded memory.
 //!
-//! A file's [`format`] makes rows of it; a [`map::ColumnMap`] gives the quantity and unit of each column of a table. The rows are put in
+//! A file's [`mod@format`] makes rows of it; a [`map::ColumnMap`] gives the quantity and unit of each column of a table. The rows are put in
 //! order, a survey finds what shows the breaths, and an assembler puts each breath on an even grid. Every row that is left out is counted
 //! in the [`account::ImportSummary`].
 
