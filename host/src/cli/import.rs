@@ -1,10 +1,10 @@
 //! `trainer import`: converts third-party recordings.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, ensure};
 use tempfile::TempDir;
 
 use crate::args::map::MapArgs;
@@ -92,27 +92,34 @@ impl Command for Args {
     }
 }
 
-/// The files to read: standard input is kept in a temporary file, because it is read more than once.
+/// The files to read: standard input and pipes are kept in temporary files, because an import reads its files more than once.
 struct Spooled {
     files: Vec<PathBuf>,
-    _folder: Option<TempDir>,
+    _folder: TempDir,
 }
 
 impl Spooled {
     fn of(files: &[PathBuf]) -> anyhow::Result<Self> {
-        let is_input = |file: &PathBuf| file == Path::new("-");
-        let Some(place) = files.iter().position(is_input) else {
-            return Ok(Self { files: files.to_vec(), _folder: None });
-        };
         let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
-        let path = folder.path().join("standard-input");
-        let copied = File::create(&path).and_then(|mut file| io::copy(&mut io::stdin(), &mut file));
-        copied.context("cannot keep standard input in a temporary file")?;
-        let mut files = files.to_vec();
-        files[place] = path;
-        if files.iter().any(is_input) {
-            bail!("standard input can be read once: name `-` once");
-        }
-        Ok(Self { files, _folder: Some(folder) })
+        let mut inputs = 0;
+        let spool = |(n, file): (usize, &PathBuf)| -> anyhow::Result<PathBuf> {
+            let is_input = file == Path::new("-");
+            let is_pipe = fs::metadata(file).is_ok_and(|there| !there.is_file() && !there.is_dir());
+            if !is_input && !is_pipe {
+                return Ok(file.clone());
+            }
+            inputs += usize::from(is_input);
+            ensure!(inputs < 2, "standard input can be read once: name `-` once");
+            let path = folder.path().join(format!("input-{n}"));
+            let mut copy = File::create(&path)?;
+            if is_input {
+                io::copy(&mut io::stdin(), &mut copy)?;
+            } else {
+                io::copy(&mut File::open(file)?, &mut copy)?;
+            }
+            Ok(path)
+        };
+        let files = files.iter().enumerate().map(spool).collect::<anyhow::Result<Vec<_>>>();
+        Ok(Self { files: files.context("cannot keep the input in a temporary file")?, _folder: folder })
     }
 }

@@ -101,3 +101,28 @@ fn one_simulator_is_fitted_to_many_lungs_and_judged_on_one_it_never_saw() {
     assert_eq!((&fit["training_breaths"], &fit["held_out_lung_breaths"]), (&18.into(), &7.into()));
     assert!(place.refused("fit a.parquet --hold-out-lung 7:7").contains("20:50"));
 }
+
+/// `export.csv.gz | trainer import -`, a pipe by its name, and a proposed map.
+#[cfg(unix)]
+#[test]
+fn a_table_may_come_from_standard_input_or_a_pipe_with_a_proposed_map() {
+    let place = Place::new();
+    std::fs::write(place.path("table.csv"), table()).unwrap();
+    let proposed = place.ok("import table.csv --propose-map proposed.toml");
+    assert!(proposed.contains("check each guess") && proposed.contains("saved proposed.toml"), "{proposed}");
+    let needs = place.refused("import table.csv --out a.parquet");
+    assert!(needs.contains("--map") && needs.contains("--propose-map"), "{needs}");
+    std::fs::write(place.path("map.toml"), MAP).unwrap();
+    let whole = place.json("import table.csv --map map.toml --out a.parquet");
+    let input = std::fs::File::open(place.path("table.csv")).unwrap();
+    let mut command = place.command("import - --map map.toml --out b.parquet --json -");
+    let output = command.stdin(input).output().unwrap();
+    let piped: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(piped, whole);
+    let pipe = place.path("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let table = place.path("table.csv");
+    let writer = std::thread::spawn(move || std::fs::copy(table, pipe));
+    assert_eq!(place.json("import pipe --map map.toml --out c.parquet"), whole);
+    writer.join().unwrap().unwrap();
+}
