@@ -44,7 +44,7 @@ pub use self::sore_spots::SoreSpot;
 pub use self::swings::Swings;
 use crate::identify::LungId;
 use crate::identify::cycle::{Cycle, Drift};
-use data::import::NO_SET_POINT;
+use data::import::{NO_SET_POINT, had_set_point};
 use data::recording::Recording;
 use data::recording::quality::noise;
 
@@ -156,7 +156,7 @@ pub fn judge(recording: &Recording, judged: Judged, limits: &Limits) -> Result<V
     let context = RecordingContext {
         recording,
         pressure,
-        set_point: !recording.provenance.notes.iter().any(|note| note == NO_SET_POINT),
+        set_point: had_set_point(&recording.provenance),
         noise: noise(&readings),
     };
     let (breaths, unjudged) = context.breaths()?;

@@ -107,7 +107,7 @@ impl Account {
         if let Some(lung) = rows[0].lung() {
             *self.counts.lungs.entry(lung.to_string()).or_default() += 1;
         }
-        let inspiration = samples.iter().take_while(|s| s.get(Quantity::UOut) < 50.0);
+        let inspiration = samples.iter().take_while(|sample| !sample.opens_out());
         for command in inspiration.map(|s| s.get(Quantity::UIn)).filter(|command| command.is_finite()) {
             self.saturated.0 += usize::from(command <= AT_END || command >= 100.0 - AT_END);
             self.saturated.1 += 1;

@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 
-use super::OPEN;
 use super::account::{Account, ImportSummary};
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
 use super::rises::is_up;
@@ -193,9 +192,9 @@ impl<'a> Assembler<'a> {
         };
         match self.layout.end {
             EndBy::Time(seconds) => ((seconds / self.period_s).round() as usize).min(samples.len()),
-            EndBy::Phase => once(&|sample| sample.inspires),
+            EndBy::Phase | EndBy::Found => once(&|sample| sample.inspires),
             EndBy::Target => once(&|sample| is_up(sample.get(Quantity::Target) as f32, peep)),
-            EndBy::Valve => samples.iter().take_while(|sample| sample.get(Quantity::UOut) < OPEN).count(),
+            EndBy::Valve => samples.iter().take_while(|sample| !sample.opens_out()).count(),
         }
     }
 
@@ -251,8 +250,7 @@ fn evened(samples: &[TableRow], period_s: f64, counts: &mut ImportSummary) -> Op
 fn between(a: &TableRow, b: &TableRow, share: f64) -> TableRow {
     let nearer = if share < 0.5 { *a } else { *b };
     let step = b.get(Quantity::Target) - a.get(Quantity::Target);
-    let open = |row: &TableRow| row.get(Quantity::UOut) >= OPEN;
-    if step.abs() > EDGE || open(a) != open(b) {
+    if step.abs() > EDGE || a.opens_out() != b.opens_out() {
         return nearer;
     }
     let mut row = nearer;

@@ -5,18 +5,15 @@
 //! As described at <https://github.com/makers-for-life/makair-telemetry> (public domain).
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use crc::{CRC_32_ISO_HDLC, Crc};
 
+use super::lines::Lines;
 use super::map::{EndBy, QUANTITIES, Quantity, StartBy, TableLayout};
-use super::rows::{RowSource, TableRow, index_of};
-use super::table::text::Text;
+use super::rows::{RowSource, TableRow};
 use crate::identity::TestRun;
 use crate::recording::DatasetError;
 
@@ -37,21 +34,19 @@ const CHECKSUM: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// Name of lines that are no message.
 const DAMAGED: &str = "damaged lines";
 
-/// What the records have; the first version knows no flow.
-pub(super) fn layout(paths: &[PathBuf]) -> Result<TableLayout, DatasetError> {
-    let versions = paths.iter().map(|path| Ok(first(path)?.0)).collect::<Result<Vec<_>, DatasetError>>()?;
-    let flows = versions.iter().all(|version| *version > 1);
+/// What records have, of which the first version knows no flow.
+pub(super) fn layout(surveys: &[Survey]) -> TableLayout {
+    let flows = surveys.iter().all(|survey| survey.version > 1);
     let has = |quantity| match quantity {
         Quantity::FlowIn | Quantity::FlowOut => flows,
         Quantity::Resistance | Quantity::Compliance | Quantity::UPsol => false,
         _ => true,
     };
-    Ok(TableLayout {
+    TableLayout {
         start: StartBy::Number,
         end: EndBy::Phase,
-        tells_phases: true,
         ..TableLayout::of_format("MakAir", COMMANDS, has)
-    })
+    }
 }
 
 /// Whether a line is a message.
@@ -68,7 +63,7 @@ struct Message {
 
 /// The message in a line, if its checksum is right.
 fn decoded(line: &[u8]) -> Option<Message> {
-    let bytes = STANDARD.decode(line.trim_ascii()).ok()?;
+    let bytes = STANDARD.decode(line).ok()?;
     let end = bytes.len().checked_sub(TAIL)?;
     let fields = 6 + usize::from(*bytes.get(5)?) + DEVICE;
     let sum = u32::from_be_bytes(bytes[end + 1..end + 5].try_into().ok()?);
@@ -105,33 +100,27 @@ struct Set {
     peep: f64,
 }
 
+/// What a record begins with.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Survey {
+    version: u8,
+    /// The settings of the first breath, which come after it.
+    set: Set,
+}
+
 /// The rows of a record.
 pub(super) struct MakairRows {
-    path: PathBuf,
-    lines: BufReader<Box<dyn Read + Send>>,
-    bytes: Arc<AtomicU64>,
-    line: Vec<u8>,
-    group: Option<u32>,
-    /// The latest settings; those of the first breath come after it.
+    lines: Lines,
+    /// The latest settings.
     set: Set,
     inspires: Option<bool>,
     unused: BTreeMap<String, usize>,
 }
 
 impl MakairRows {
-    pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
-        let (_, set) = first(path)?;
-        let Text { reader, bytes } = Text::open(path)?;
-        Ok(Self {
-            path: path.to_owned(),
-            lines: BufReader::new(reader),
-            bytes,
-            line: Vec::new(),
-            group: None,
-            set,
-            inspires: None,
-            unused: BTreeMap::new(),
-        })
+    pub(super) fn open(path: &Path, survey: &Survey) -> Result<Self, DatasetError> {
+        let lines = Lines::open(path)?;
+        Ok(Self { lines, set: survey.set, inspires: None, unused: BTreeMap::new() })
     }
 
     /// The row in a message about pressures and valves.
@@ -158,18 +147,13 @@ impl MakairRows {
 
     /// The next line that is a message; counts the others.
     fn message(&mut self) -> Result<Option<Message>, DatasetError> {
-        let read = |source| DatasetError::Read { path: self.path.clone(), source };
-        loop {
-            self.line.clear();
-            if self.lines.read_until(b'\n', &mut self.line).map_err(read)? == 0 {
-                return Ok(None);
-            }
-            match decoded(&self.line) {
+        while let Some(line) = self.lines.next()? {
+            match decoded(line) {
                 Some(message) => return Ok(Some(message)),
-                None if self.line.trim_ascii().is_empty() => {}
                 None => *self.unused.entry(DAMAGED.to_owned()).or_default() += 1,
             }
         }
+        Ok(None)
     }
 }
 
@@ -182,25 +166,28 @@ fn settings(message: &Message) -> Option<Set> {
     Some(Set { plateau: plateau as f64, peep: peep as f64 })
 }
 
-/// The version of a record and its first settings.
-fn first(path: &Path) -> Result<(u8, Set), DatasetError> {
-    let read = |source| DatasetError::Read { path: path.to_owned(), source };
-    for line in BufReader::new(Text::open(path)?.reader).split(b'\n') {
-        let message = decoded(&line.map_err(read)?);
-        if let Some(found) = message.and_then(|message| Some((message.version(), settings(&message)?))) {
-            return Ok(found);
+/// Reads records up to their first settings.
+///
+/// # Errors
+/// A file that cannot be read, or has no settings.
+pub(super) fn survey(paths: &[PathBuf]) -> Result<Vec<Survey>, DatasetError> {
+    let first = |path: &PathBuf| {
+        let mut lines = Lines::open(path)?;
+        while let Some(line) = lines.next()? {
+            let found = decoded(line).and_then(|message| Some((message.version(), settings(&message)?)));
+            if let Some((version, set)) = found {
+                return Ok(Survey { version, set });
+            }
         }
-    }
-    let reason = "has no message of a MakAir that tells the settings of a breath";
-    Err(DatasetError::NoTable { path: path.to_owned(), reason })
+        let reason = "has no message of a MakAir that tells the settings of a breath";
+        Err(DatasetError::NoTable { path: path.clone(), reason })
+    };
+    paths.iter().map(first).collect()
 }
 
 impl RowSource for MakairRows {
     fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
-        let group = *self.group.get_or_insert_with(|| {
-            let name = self.path.file_stem().unwrap_or_default().to_string_lossy();
-            index_of(groups, name.as_ref().into())
-        });
+        let group = self.lines.group(groups);
         while let Some(message) = self.message()? {
             if let Some(set) = settings(&message) {
                 self.set = set;
@@ -224,7 +211,7 @@ impl RowSource for MakairRows {
     }
 
     fn position(&self) -> u64 {
-        self.bytes.load(Ordering::Relaxed)
+        self.lines.position()
     }
 
     fn unused(&self) -> BTreeMap<String, usize> {

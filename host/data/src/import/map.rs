@@ -271,8 +271,10 @@ pub enum EndBy {
     Valve,
     /// The set-point falls.
     Target,
-    /// What the file tells of the phase or, if it tells nothing, the flow that turns or the pressure that falls.
+    /// The file tells the phases.
     Phase,
+    /// The flow turns or, if there is none, the pressure falls.
+    Found,
 }
 
 /// A checked column map.
@@ -300,8 +302,6 @@ pub struct TableLayout {
     pub run: Option<Column>,
     /// Line after which the table begins, if it is not at the start of the file.
     pub after: Option<&'static str>,
-    /// Whether the rows of a format tell the phases of breaths.
-    pub tells_phases: bool,
     /// What the columns of the flows contain instead, if that is one column for both.
     pub signed: Option<Signed>,
     /// Quantities, in the order of [`Quantity::ALL`].
@@ -395,7 +395,7 @@ impl ColumnMap {
             Some(seconds) => EndBy::Time(seconds),
             None if valve => EndBy::Valve,
             None if target => EndBy::Target,
-            None => EndBy::Phase,
+            None => EndBy::Found,
         };
         let (group, breath) = (self.group.as_ref(), self.breath.as_ref());
         let layout = TableLayout {
@@ -408,7 +408,6 @@ impl ColumnMap {
             comment: Some(mark(self.comment)?.unwrap_or(b'#')),
             skip_lines: self.skip_lines,
             after: None,
-            tells_phases: false,
             breath: breath.map(|label| label.column.clone()),
             group: group.map(|group| group.column.clone()),
             run: group.and_then(|group| group.run.clone()),
@@ -462,14 +461,13 @@ impl TableLayout {
             comment: None,
             skip_lines: 0,
             after: None,
-            tells_phases: false,
             breath: None,
             group: None,
             run: None,
             signed: None,
             origins: Quantity::ALL.map(|quantity| has(quantity).then(|| column(quantity))),
             start: StartBy::Found,
-            end: EndBy::Phase,
+            end: EndBy::Found,
         }
     }
 

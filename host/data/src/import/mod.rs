@@ -9,6 +9,7 @@ mod breaths;
 pub mod format;
 mod inputs;
 mod inspirations;
+mod lines;
 mod makair;
 pub mod map;
 mod measured;
@@ -33,7 +34,7 @@ use self::account::ImportSummary;
 use self::breaths::Assembler;
 use self::format::Format;
 use self::inputs::Inputs;
-use self::inspirations::{Marks, Phased};
+use self::inspirations::Phased;
 use self::makair::MakairRows;
 use self::map::{Quantity, StartBy, TableLayout};
 pub use self::measured::{measured, measured_recording};
@@ -53,10 +54,15 @@ pub const IMPORT: Stage = Stage("read tables, bytes");
 
 /// Note of a recording whose tables have no set-point: its targets cannot tell how well they were met.
 pub const NO_SET_POINT: &str = "no set-point in the tables: target and PIP are the measured plateau, PEEP the pressure before the breath";
+/// Whether the tables of a recording had a set-point.
+pub fn had_set_point(provenance: &Provenance) -> bool {
+    // What follows has had other words.
+    let start = |note: &str| note.split(':').next().map(str::to_owned);
+    !provenance.notes.iter().any(|note| start(note) == start(NO_SET_POINT))
+}
+
 /// A recording is not larger than this part of its tables.
 const BYTES_READ_PER_WRITTEN: u64 = 2;
-/// Position of the expiratory valve from which it counts as open, percent.
-const OPEN: f64 = 50.0;
 /// Number of rows whose time steps determine the sample period.
 const PERIOD_ROWS: usize = 20_000;
 /// Number of rows between two progress reports.
@@ -87,8 +93,9 @@ pub fn import_as(
         Format::Table(layout) => import(paths, layout, out, progress),
         Format::Pirds => import_pirds(paths, out, progress),
         Format::Makair => {
-            let layout = makair::layout(paths)?;
-            import_format(paths, &layout, out, progress, |_, path| MakairRows::open(path))
+            let surveys = makair::survey(paths)?;
+            let layout = makair::layout(&surveys);
+            import_format(paths, &layout, out, progress, |n, path| MakairRows::open(path, &surveys[n]))
         }
         Format::Pb840 => {
             let layout = pb840::layout();
@@ -143,7 +150,7 @@ fn import_rows<R: RowSource>(
         let ordered = layout.is_ordered();
         Ok(Tidy::new(open(n, path)?, path, period_s, ordered, layout.has_volumes()))
     };
-    let (layout, mut marks) = with_breaths(inputs.paths, layout, period_s, in_order)?;
+    let (layout, marks) = with_breaths(inputs.paths, layout, period_s, in_order)?;
     let layout = &layout;
     let write = |source| DatasetError::Write { path: out.to_owned(), source };
     check_room(out, inputs.bytes() / BYTES_READ_PER_WRITTEN).map_err(write)?;
@@ -153,8 +160,8 @@ fn import_rows<R: RowSource>(
     let mut groups = Vec::new();
     let mut bytes = 0;
     let task = progress.task(IMPORT, inputs.bytes() as usize);
-    for (n, path) in inputs.paths.iter().enumerate() {
-        let mut reader = Phased::new(in_order(n, path)?, std::mem::replace(&mut marks[n], Marks::Own));
+    for ((n, path), marks) in inputs.paths.iter().enumerate().zip(marks) {
+        let mut reader = Phased::new(in_order(n, path)?, marks);
         // A line that is being written is not wrong, but not complete.
         let or_changed = |error| inputs.check().err().unwrap_or(error);
         while let Some(sample) = reader.next(&mut groups).map_err(or_changed)? {

@@ -2,14 +2,11 @@
 //! (cmH2O) at 50 Hz, and a line `BE`. Lines with a date may stand between them, or dates before the values.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::path::Path;
 
-use super::map::{EndBy, QUANTITIES, Quantity, StartBy, TableLayout};
-use super::rows::{RowSource, TableRow, index_of};
-use super::table::text::Text;
+use super::lines::Lines;
+use super::map::{QUANTITIES, Quantity, StartBy, TableLayout};
+use super::rows::{RowSource, TableRow};
 use crate::identity::TestRun;
 use crate::recording::DatasetError;
 
@@ -35,7 +32,6 @@ pub(super) fn layout() -> TableLayout {
     TableLayout {
         period_s: Some(PERIOD_S),
         start: StartBy::Number,
-        end: EndBy::Phase,
         ..TableLayout::of_format("Puritan Bennett 840", NOTE, has)
     }
 }
@@ -47,11 +43,7 @@ pub(super) fn begins_breath(line: &str) -> bool {
 
 /// The rows of a file.
 pub(super) struct Pb840Rows {
-    path: PathBuf,
-    lines: BufReader<Box<dyn Read + Send>>,
-    bytes: Arc<AtomicU64>,
-    line: Vec<u8>,
-    group: Option<u32>,
+    lines: Lines,
     time_s: f64,
     /// Number of the running breath; none between two.
     breath: Option<u64>,
@@ -62,13 +54,8 @@ pub(super) struct Pb840Rows {
 
 impl Pb840Rows {
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
-        let Text { reader, bytes } = Text::open(path)?;
         Ok(Self {
-            path: path.to_owned(),
-            lines: BufReader::new(reader),
-            bytes,
-            line: Vec::new(),
-            group: None,
+            lines: Lines::open(path)?,
             time_s: 0.0,
             breath: None,
             last_breath: None,
@@ -116,22 +103,9 @@ impl Pb840Rows {
 
 impl RowSource for Pb840Rows {
     fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
-        let group = *self.group.get_or_insert_with(|| {
-            let name = self.path.file_stem().unwrap_or_default().to_string_lossy();
-            index_of(groups, name.as_ref().into())
-        });
-        loop {
-            self.line.clear();
-            let read = |source| DatasetError::Read { path: self.path.clone(), source };
-            if self.lines.read_until(b'\n', &mut self.line).map_err(read)? == 0 {
-                return Ok(None);
-            }
-            // Some files have zero bytes in between.
-            self.line.retain(|byte| *byte != 0);
-            let line = String::from_utf8_lossy(&self.line).trim().to_owned();
-            if line.is_empty() {
-                continue;
-            }
+        let group = self.lines.group(groups);
+        while let Some(line) = self.lines.next()? {
+            let line = String::from_utf8_lossy(line).into_owned();
             if begins_breath(&line) {
                 self.begin(&line);
             } else if line.split(',').any(|cell| cell.trim() == END) {
@@ -146,10 +120,11 @@ impl RowSource for Pb840Rows {
                 self.count("lines without flow and pressure");
             }
         }
+        Ok(None)
     }
 
     fn position(&self) -> u64 {
-        self.bytes.load(Ordering::Relaxed)
+        self.lines.position()
     }
 
     fn unused(&self) -> BTreeMap<String, usize> {

@@ -28,7 +28,7 @@ enum Meaning {
 }
 
 /// Words of names, in the languages of ventilators, the longest and surest first.
-const WORDS: [(&str, Meaning); 38] = [
+const WORDS: [(&str, Meaning); 34] = [
     ("breath_id", Meaning::Breath),
     ("breath_no", Meaning::Breath),
     ("breath number", Meaning::Breath),
@@ -39,17 +39,13 @@ const WORDS: [(&str, Meaning); 38] = [
     ("soll", Meaning::Of(Quantity::Target)),
     ("consigne", Meaning::Of(Quantity::Target)),
     ("u_out", Meaning::Of(Quantity::UOut)),
-    ("exhale", Meaning::Of(Quantity::UOut)),
     ("exh", Meaning::Of(Quantity::UOut)),
     ("exp_valve", Meaning::Of(Quantity::UOut)),
     ("u_in", Meaning::Of(Quantity::UIn)),
-    ("inhale", Meaning::Of(Quantity::UIn)),
     ("inh", Meaning::Of(Quantity::UIn)),
     ("valve", Meaning::Of(Quantity::UIn)),
     ("resistance", Meaning::Of(Quantity::Resistance)),
     ("compliance", Meaning::Of(Quantity::Compliance)),
-    ("volume", Meaning::Volume),
-    ("volumen", Meaning::Volume),
     ("vol", Meaning::Volume),
     ("pressure", Meaning::Of(Quantity::Pressure)),
     ("pression", Meaning::Of(Quantity::Pressure)),

@@ -35,6 +35,11 @@ impl TableRow {
         self.fields[quantity as usize] = value;
     }
 
+    /// Whether the expiratory valve is open.
+    pub fn opens_out(&self) -> bool {
+        self.get(Quantity::UOut) >= OPEN
+    }
+
     /// Net flow into the lung, L/s.
     pub fn flow(&self) -> f64 {
         self.get(Quantity::FlowIn) - self.get(Quantity::FlowOut)
@@ -47,6 +52,8 @@ impl TableRow {
     }
 }
 
+/// Position of the expiratory valve from which it counts as open, percent.
+const OPEN: f64 = 50.0;
 /// Longest step between consecutive rows, in periods; with a longer one, rows are missing.
 const MOST_PERIODS: f64 = 1.75;
 /// Longest step whose missing rows are filled, in periods and seconds; a longer one is a gap.

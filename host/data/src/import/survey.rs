@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use super::OPEN;
 use super::inspirations::{By, Marks};
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
 use super::rises::{Rises, Shown};
@@ -28,7 +27,7 @@ pub(super) fn with_breaths<R: RowSource>(
     open: impl Fn(usize, &Path) -> Result<R, DatasetError>,
 ) -> Result<(TableLayout, Vec<Marks>), DatasetError> {
     let mut layout = layout.clone();
-    if layout.start == StartBy::Number && (layout.end != EndBy::Phase || layout.tells_phases) {
+    if layout.start == StartBy::Number && layout.end != EndBy::Found {
         return Ok((layout, vec![Marks::Own; paths.len()]));
     }
     let of = |(n, path): (usize, &PathBuf)| survey(path, open(n, path)?, period_s);
@@ -45,12 +44,12 @@ pub(super) fn with_breaths<R: RowSource>(
         EndBy::Time(seconds) => EndBy::Time(seconds),
         _ if valve => EndBy::Valve,
         _ if target => EndBy::Target,
-        _ => EndBy::Phase,
+        _ => EndBy::Found,
     };
     let marks = |survey: Survey| match (layout.start, layout.end) {
         (StartBy::Target, _) => Marks::Starts(survey.by_target),
         (StartBy::Valve, _) => Marks::Starts(survey.by_valve),
-        (StartBy::Number, end) if end != EndBy::Phase => Marks::Own,
+        (StartBy::Number, end) if end != EndBy::Found => Marks::Own,
         (StartBy::Number, _) => Marks::Phases(survey.by),
         (StartBy::Found, _) => Marks::Breaths(survey.by),
     };
@@ -77,7 +76,6 @@ fn survey(path: &Path, mut rows: impl RowSource, period_s: f64) -> Result<Survey
     let mut rises = Rises::new(period_s);
     let (mut by_target, mut by_valve, mut last) = (Vec::new(), Vec::new(), None::<TableRow>);
     let (mut pressures, mut flows) = (Vec::new(), Vec::new());
-    let open = |row: &TableRow| row.get(Quantity::UOut) >= OPEN;
     let mut groups = Vec::new();
     let mut number = 0;
     while let Some(row) = rows.next(&mut groups)? {
@@ -93,7 +91,7 @@ fn survey(path: &Path, mut rows: impl RowSource, period_s: f64) -> Result<Survey
                 by_target.push(number);
             }
         }
-        if before.is_some_and(|before| open(&before)) && !open(&row) {
+        if before.is_some_and(|before| before.opens_out()) && !row.opens_out() {
             by_valve.push(number);
         }
         if pressures.len() < JUDGED {

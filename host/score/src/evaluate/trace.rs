@@ -43,7 +43,7 @@ impl BreathTrace {
     }
 
     /// The residual as applied, percent: the command of each tick of an inspiration less that of the PID underneath; 0 in expirations.
-    /// A PID starts every breath anew, so the measured pressures and the commands decide what it asked for.
+    /// The PID's state is reset at each breath, so the measured pressures and the commands determine what it requested.
     pub fn residual(&self, pid: &Pid) -> Vec<f64> {
         let mut state = PidState::new();
         let ticks = self.measured.iter().zip(&self.target).zip(self.u_in.iter().zip(&self.u_out));

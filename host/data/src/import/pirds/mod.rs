@@ -61,8 +61,7 @@ fn layout(surveys: &[Survey]) -> TableLayout {
     let marked = surveys.iter().all(|survey| survey.phases > 0);
     TableLayout {
         start: if marked { StartBy::Number } else { StartBy::Found },
-        end: EndBy::Phase,
-        tells_phases: marked,
+        end: if marked { EndBy::Phase } else { EndBy::Found },
         ..TableLayout::of_format("PIRDS", NO_COMMANDS, has)
     }
 }
