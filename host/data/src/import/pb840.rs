@@ -16,8 +16,6 @@ const PERIOD_S: f64 = 0.02;
 const BEGIN: &str = "BS";
 const END: &str = "BE";
 const NUMBER: &str = "S:";
-/// Time left out where breaths are missing: what matters is that it is no period.
-const PAUSE_S: f64 = 1.0;
 /// Litres per minute in a litre per second.
 const PER_LITRE_PER_SECOND: f64 = 60.0;
 /// Values beyond those of any ventilator, L/min and cmH2O.
@@ -68,7 +66,7 @@ impl Pb840Rows {
         *self.unused.entry(name.to_owned()).or_default() += 1;
     }
 
-    /// Takes the line that begins a breath. A number that is not the next one shows that breaths are missing.
+    /// Takes the line that begins a breath. A number higher than the next one shows that breaths are missing.
     fn begin(&mut self, line: &str) {
         let number = line
             .split_once(NUMBER)
@@ -78,8 +76,9 @@ impl Pb840Rows {
             self.count("breaths without a number");
             return;
         };
-        if self.last_breath.is_some_and(|last| number != last + 1) {
-            self.time_s += PAUSE_S;
+        let missing = self.last_breath.map_or(0, |last| number.saturating_sub(last + 1));
+        if missing > 0 {
+            *self.unused.entry("missing breaths".to_owned()).or_default() += missing as usize;
         }
         (self.breath, self.last_breath, self.begins) = (Some(number), Some(number), true);
     }

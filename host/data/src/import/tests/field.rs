@@ -174,7 +174,7 @@ fn breaths_are_shown_by_what_there_is() {
 fn a_leak_does_not_lengthen_inspirations_that_the_flow_shows() {
     let leaking = |row| {
         let (time, paw, _, flow, _) = at(row);
-        format!("{time:.3},{paw:.2},{:.2}", 60.0 * (flow + 0.06 * paw.sqrt()))
+        format!("{time:.3},{paw:.2},{:.2}", 60.0 * (flow + 0.1 * paw.sqrt()))
     };
     let map =
         "[time]\ncolumn = 'time'\n[pressure]\ncolumn = 'paw'\n[flow]\ncolumn = 'flow'\nunit = 'L/min'\n";
@@ -297,6 +297,9 @@ fn uneven_rows_keep_pressure_and_target_together() {
     assert!(summary.resampled_breaths > BREATHS / 2, "{summary}");
     let apart = recording.pressure.iter().zip(&recording.target).map(|(p, target)| (p - target).abs());
     assert!(apart.fold(0.0, f32::max) < 0.01);
+    // No value lies between the levels, as one in the middle of an edge would.
+    let levels = |pressure: &f32| (pressure - 5.0).abs().min((pressure - 20.0).abs());
+    assert!(recording.pressure.iter().map(levels).fold(0.0, f32::max) < 0.01);
 }
 
 #[test]

@@ -142,6 +142,7 @@ fn waveforms_of_a_puritan_bennett_840_give_breaths() {
     for content in [pb840(""), pb840("2016-01-27 20:30:35.1, "), dated] {
         let (recording, summary) = recorded("pb840", content.as_bytes());
         assert_eq!((summary.breaths, summary.rows, summary.period_us), (BREATHS, BREATHS * ROWS, 20_000));
+        assert_eq!(summary.unused["missing breaths"], 2);
         for rows in recording.inspirations() {
             assert_eq!(rows.len(), INSPIRED);
             assert!((recording.pip[rows.start] - 18.0).abs() < 1e-3, "{summary}");
