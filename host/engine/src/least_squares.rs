@@ -21,6 +21,8 @@ pub struct Solution<const N: usize> {
     pub half_widths: [f64; N],
     /// Root mean square of the residuals.
     pub residual: f64,
+    /// Number of independent draws that the rows count as, minus the coefficients.
+    pub independent: f64,
 }
 
 /// Half-width of a 95 % interval, in standard errors.
@@ -64,13 +66,15 @@ pub fn solve<const N: usize>(rows: &[[f64; N]], values: &[f64]) -> Option<Soluti
     let left: Vec<f64> =
         rows.iter().zip(values).map(|(row, value)| value - scaled(row).dot(&solution)).collect();
     let sum: f64 = left.iter().map(|e| e * e).sum();
-    let variance = sum / independent(&left, N);
+    let independent = independent(&left, N);
+    let variance = sum / independent;
     let spread = factor.inverse().diagonal() * variance;
     let half_widths = spread.map(f64::sqrt).component_div(&lengths) * student(usize::MAX);
     let solution = Solution {
         coefficients: solution.component_div(&lengths).into(),
         half_widths: half_widths.into(),
         residual: (sum / rows.len() as f64).sqrt(),
+        independent,
     };
     solution.coefficients.iter().all(|c| c.is_finite()).then_some(solution)
 }

@@ -26,10 +26,9 @@ With --port: prints the device's identity, its firmware, the weights it contains
 calibration with its age. Nothing on the device changes; ventilation continues.
 
 With a recording that has flows: estimates compliance C, resistance R and turbulent resistance R2 of
-every lung, by least squares of P = P0 + V/C + R q + R2 q |q| over whole breaths. The 95 % intervals
-come from the spread between breaths. Drift of the flow sensors is removed by assuming that the
-inspired volume is expired again. 'Behind the circuit' also removes the volume taken up by
-the tubes."
+every lung, by least squares of P = P0 + V/C + R q + R2 q |q| over whole breaths, with 95 % intervals.
+Drift of the flow sensors is removed by assuming that the inspired volume is expired again; so are a
+leak and a delay of the flow. 'Behind the circuit' also removes the volume taken up by the tubes."
 )]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT

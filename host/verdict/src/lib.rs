@@ -43,7 +43,7 @@ use self::settled::Settled;
 pub use self::sore_spots::SoreSpot;
 pub use self::swings::Swings;
 use crate::identify::LungId;
-use crate::identify::cycle::{Cycle, Drift};
+use crate::identify::cycle::{Cycle, Drift, FlowPath};
 use data::import::{NO_SET_POINT, had_set_point};
 use data::recording::Recording;
 use data::recording::quality::noise;
@@ -276,7 +276,7 @@ impl RecordingContext<'_> {
     fn flow(&self, rows: &Range<usize>, curve: &BreathCurve) -> Option<(f64, f64)> {
         let even = self.recording.tick[rows.end - 1] as usize + 1 == rows.len();
         let cycle = even.then(|| Cycle::new(self.recording, rows, curve.pressure.len())).flatten()?;
-        let flows = cycle.rows(Drift::Corrected, 0.0);
+        let flows = cycle.rows(Drift::Corrected, &FlowPath::default());
         let volume = flows.iter().map(|row| row[1]).reduce(f64::max)?;
         let flow = flows[..curve.pressure.len()].iter().map(|row| row[2]).reduce(f64::max)?;
         (volume.is_finite() && flow.is_finite()).then_some((volume, L_PER_MIN * flow))

@@ -9,7 +9,7 @@ use super::LungArgs;
 use crate::command::{Context, quoted, write};
 use data::recording::Recording;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
-use verdict::identify::cycle::Cycle;
+use verdict::identify::cycle::{Cycle, FlowPath};
 use verdict::identify::{Estimate, Identified, LungCycles, bench, identify, lungs};
 
 /// The content of `--json`.
@@ -32,6 +32,7 @@ pub fn run(data: &Path, args: &LungArgs, context: &Context<'_>) -> anyhow::Resul
     }
     context.table(&table(&found));
     context.table(&behind_circuit(&found));
+    context.table(&flaws(&found));
     for line in remarks(&found) {
         context.line(&line);
     }
@@ -124,6 +125,22 @@ fn behind_circuit(found: &[Identified]) -> Table {
     table
 }
 
+fn flaws(found: &[Identified]) -> Table {
+    let mut table = Table::new(
+        "Flaws of the flow",
+        &["lung", "leak, mL/s/cmH2O", "flow late by, ms", "breaths left out"],
+    );
+    for lung in found {
+        table.row(vec![
+            Cell::text(lung.id.to_string()),
+            estimate(&lung.leak),
+            estimate(&lung.flow_delay_ms),
+            Cell::count(lung.breaths_left_out),
+        ]);
+    }
+    table
+}
+
 /// The remarks of all lungs, each with its lung's name.
 fn remarks(found: &[Identified]) -> Vec<String> {
     let of_lung = |lung: &Identified| {
@@ -159,8 +176,9 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
         text: "P = P0 + V/C + R q + R2 q|q|, fitted to each whole breath; intervals come from the spread between \
                breaths. The offset is the mean net flow over a breath, which is removed."
                     .into(),
-                blocks: [Block::Table(table(found)), Block::Table(behind_circuit(found))]
+                blocks: [table(found), behind_circuit(found), flaws(found)]
                     .into_iter()
+                    .map(Block::Table)
                     .chain(remarks(found).into_iter().map(Block::Text))
                     .collect(),
             },
@@ -179,11 +197,12 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
 /// The middle breath of a lung with its fits, and the residuals of both.
 fn plots(lung: &LungCycles, found: &Identified) -> Option<[Plot; 2]> {
     let (_, breath) = lung.breaths.get(lung.breaths.len() / 2)?;
-    let circuit = found.behind_circuit.circuit_compliance;
+    let path = found.taken_out;
+    let behind = FlowPath { circuit: found.behind_circuit.circuit_compliance, ..path };
     let measured = Series::new("measured", Style::Line, points(breath, breath.pressure()));
     let fits = [
-        Series::new("equation of motion", Style::Line, points(breath, &breath.fitted(0.0)?)),
-        Series::new("behind the circuit", Style::Line, points(breath, &breath.fitted(circuit)?)),
+        Series::new("equation of motion", Style::Line, points(breath, &breath.fitted(&path)?)),
+        Series::new("behind the circuit", Style::Line, points(breath, &breath.fitted(&behind)?)),
     ];
     let residuals = fits.iter().map(|fit| fit.minus(&measured)).collect();
     let curves = [measured].into_iter().chain(fits).collect();

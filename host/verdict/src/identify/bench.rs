@@ -28,6 +28,9 @@ pub fn bench(lung: &Identified, recording: &Recording) -> Result<BenchConfig, Be
     bench.lung.first.turbulence_s_per_l = turbulence;
     bench.lung.first.compliance_ml_per_cmh2o = behind.compliance.value;
     bench.circuit.compliance_ml_per_cmh2o = behind.circuit_compliance.max(LEAST_CIRCUIT);
+    if lung.taken_out.leak > 0.0 {
+        bench.circuit.leak_l_per_s_at_30_cmh2o = (30.0 * lung.taken_out.leak / 1000.0).min(1.0);
+    }
     let pressure = &recording.pressure[..recording.len().min(ROWS)];
     let noise = quality::noise(pressure);
     if noise >= LEAST_NOISE {

@@ -4,23 +4,26 @@
 //! P = P0 + V/C + R q + R2 q |q|        q flow into the lung, V its integral
 //! ```
 //!
-//! Each respiratory cycle is fitted separately; the spread from breath to breath gives the confidence intervals of a
-//! lung. Two properties of a real ventilator would spoil the fit:
+//! Each respiratory cycle is fitted separately. Properties of a real recording that would spoil the fit are fitted too:
 //!
 //! * **Drift.** Flow sensors have an offset of a few hundredths of a litre per second, whose integral is more than a
 //!   breath of a stiff lung. In a steady breath the inspired volume is expired again, so the mean of the net flow over a
 //!   cycle is the sensors' offset and is removed.
+//! * **A delay** between flow and pressure, and **a leak** between flow sensor and lung (`flaws`).
 //! * **The circuit.** Tubes between the flow sensors and the airway take up gas in proportion to the slope of the
 //!   pressure. At a high resistance that is more than the lung gets, and the fit gives too small an R with a negative R2.
 //!   The compliance of the circuit is chosen for the smallest residual over all breaths of a lung ([`BehindCircuit`]).
+//! * **Odd breaths**, such as a cough or an effort of the patient, are left out ([`LeftOut`]).
 //!
-//! What the equation leaves out (a late flow, a leak, too few samples, an odd breath) no interval shows; the remarks of a
-//! lung name it.
+//! An interval has the spread of the breaths, what the residuals of all breaths have in common, the change with half of the rows, and the
+//! intervals of delay and leak (`estimate`). What else the equation leaves out, no interval shows; the remarks of a lung name it.
 //!
 //! It is a strong baseline for a learned simulator: it uses the measured flow, which a simulator never sees.
 
 pub mod bench;
 pub mod cycle;
+mod estimate;
+mod flaws;
 pub mod open_loop;
 mod remarks;
 #[cfg(test)]
@@ -32,17 +35,20 @@ use std::ops::Range;
 use serde::{Serialize, Serializer};
 use thiserror::Error;
 
-use self::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan};
+use self::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan, FlowPath};
+pub use self::estimate::Estimate;
+use self::estimate::{estimate, inverse, with_flaws};
+use self::flaws::Flaws;
 use data::identity::TestRun;
 use data::recording::Recording;
-use data::recording::quality::SD_PER_DEVIATION;
-use engine::least_squares::{Solution, student};
+use data::recording::quality::{SD_PER_DEVIATION, noise};
+use engine::least_squares::Solution;
 
 /// Length of a cycle as a share of its lung's usual one, below which it counts as cut off by a gap.
 const LEAST_CYCLE: f64 = 0.9;
-/// Distance of a breath's elastance from the median, in standard deviations of the other breaths and as a share, from
-/// which on the breath is odd and left out.
-const ODD: (f64, f64) = (5.0, 0.1);
+/// Distance from the median from which on a breath is odd and left out: in standard deviations of the breaths, and, if that is more, as a
+/// share of the median elastance and of the median residual.
+const ODD: (f64, f64, f64) = (5.0, 0.1, 1.0);
 /// Compliances of the circuit that are tried, mL/cmH2O: their number and spacing.
 const CIRCUITS: (usize, f64) = (81, 0.05);
 
@@ -61,17 +67,6 @@ pub enum IdentifyError {
          and another breath after it"
     )]
     NoBreath(usize),
-}
-
-/// A value with its 95 % confidence interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Estimate {
-    /// The estimated value.
-    pub value: f64,
-    /// Lower end of the interval.
-    pub low: f64,
-    /// Upper end of the interval.
-    pub high: f64,
 }
 
 /// Identifies a lung within a recording.
@@ -119,10 +114,32 @@ fn serialize_run<S: Serializer>(run: &Option<TestRun>, serializer: S) -> Result<
 pub struct LungCycles {
     /// The lung.
     pub id: LungId,
-    /// Number of breaths that are cut off, or that differ from all others.
-    pub left_out: usize,
+    /// Breaths that are no whole cycles, or differ from all others.
+    pub left_out: Vec<LeftOut>,
     /// Rows and fitted form of each cycle.
     pub breaths: Vec<(Range<usize>, Cycle)>,
+}
+
+/// A breath that is not used, and why.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LeftOut {
+    /// Number of the breath in the recording.
+    pub breath: u32,
+    /// Why, in words.
+    pub why: &'static str,
+}
+
+/// What one breath says of the lung.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct OneBreath {
+    /// Number of the breath in the recording.
+    pub breath: u32,
+    /// Compliance of circuit and lung, mL/cmH2O.
+    pub compliance: f64,
+    /// R, cmH2O/(L/s).
+    pub resistance: f64,
+    /// Root mean square of the fit's residual, cmH2O.
+    pub residual: f64,
 }
 
 /// Identification of one lung.
@@ -134,7 +151,7 @@ pub struct Identified {
     /// Number of breaths from which the estimates come.
     #[serde(rename = "breaths_used")]
     pub breaths: usize,
-    /// Number of breaths that are cut off, differ from all others, or cannot be fitted.
+    /// Number of breaths in `left_out`, and of those that cannot be fitted.
     pub breaths_left_out: usize,
     /// Compliance of circuit and lung, mL/cmH2O.
     pub compliance: Estimate,
@@ -144,12 +161,23 @@ pub struct Identified {
     pub turbulence: Estimate,
     /// Offset of the flow sensors, L/s.
     pub offset: Estimate,
+    /// Leak between the flow sensors and the lung, mL/s per cmH2O.
+    pub leak: Estimate,
+    /// Delay of the flow against the pressure, ms; negative if the flow is early.
+    pub flow_delay_ms: Estimate,
     /// Root mean square of the fit's residual, cmH2O.
     pub residual: f64,
     /// Compliance without drift correction, from inspirations only, mL/cmH2O; `None` if their flow hardly changes.
     pub uncorrected_compliance: Option<f64>,
     /// The lung without the circuit.
     pub behind_circuit: BehindCircuit,
+    /// The leak and the delay that are taken out of the flow.
+    #[serde(skip)]
+    pub taken_out: FlowPath,
+    /// The same from each breath by itself.
+    pub each_breath: Vec<OneBreath>,
+    /// The breaths that are not used.
+    pub left_out: Vec<LeftOut>,
     /// Why the estimates deserve less trust than their intervals say; empty if they can be believed.
     pub remarks: Vec<String>,
 }
@@ -195,36 +223,24 @@ pub fn lungs(recording: &Recording) -> Result<Vec<LungCycles>, IdentifyError> {
     let mut lungs: Vec<LungCycles> = Vec::new();
     let breaths = recording.breaths();
     for part in breaths.chunk_by(|a, b| LungId::of(recording, a.start) == LungId::of(recording, b.start)) {
-        let cycles = cycles(recording, part);
-        let breaths = without_odd(&cycles);
-        let left_out = part.len() - 1 - breaths.len();
-        lungs.push(LungCycles { id: LungId::of(recording, part[0].start), left_out, breaths });
+        let mut lung = LungCycles {
+            id: LungId::of(recording, part[0].start),
+            left_out: Vec::new(),
+            breaths: Vec::new(),
+        };
+        lung.take(recording, part);
+        lung.leave_out_odd(recording);
+        lungs.push(lung);
     }
     Ok(lungs)
 }
 
-/// Whole cycles: an inspiration, no missing tick, as long as the others, and another breath after it.
-fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>, Cycle)> {
-    let followed = &breaths[..breaths.len().saturating_sub(1)];
-    let usual = median(followed.iter().map(|rows| rows.len() as f64).collect());
-    let cycle = |rows: &Range<usize>| {
-        let inspiration = recording.inspiration(rows.clone())?.len();
-        let whole = recording.tick[rows.end - 1] as usize + 1 == rows.len();
-        let long = rows.len() as f64 >= LEAST_CYCLE * usual;
-        (whole && long).then(|| Cycle::new(recording, rows, inspiration)).flatten()
-    };
-    followed.iter().filter_map(|rows| Some((rows.clone(), cycle(rows)?))).collect()
-}
-
-/// The cycles without those whose elastance is far from that of all others: a cough, a disconnection, a fault.
-fn without_odd(cycles: &[(Range<usize>, Cycle)]) -> Vec<(Range<usize>, Cycle)> {
-    let elastance = |cycle: &Cycle| Some(cycle.fit(FitSpan::Cycle, Drift::Corrected, 0.0)?.coefficients[1]);
-    let known: Vec<f64> = cycles.iter().filter_map(|(_, cycle)| elastance(cycle)).collect();
-    let middle = median(known.clone());
-    let spread = SD_PER_DEVIATION * median(known.iter().map(|value| (value - middle).abs()).collect());
-    let most = (ODD.0 * spread).max(ODD.1 * middle.abs());
-    let odd = |cycle: &Cycle| elastance(cycle).is_some_and(|value| (value - middle).abs() > most);
-    cycles.iter().filter(|(_, cycle)| !odd(cycle)).cloned().collect()
+/// The median of values, and how far from it a value may be: `share` of it, or more where all values spread.
+fn usual(values: impl Iterator<Item = f64>, share: f64) -> (f64, f64) {
+    let values: Vec<f64> = values.collect();
+    let middle = median(values.clone());
+    let spread = SD_PER_DEVIATION * median(values.iter().map(|value| (value - middle).abs()).collect());
+    (middle, (ODD.0 * spread).max(share * middle.abs()))
 }
 
 /// Median, 0 without values.
@@ -236,34 +252,87 @@ fn median(mut values: Vec<f64>) -> f64 {
 impl LungCycles {
     /// Identifies the lung; `None` if no cycle can be fitted.
     pub fn identify(&self, recording: &Recording) -> Option<Identified> {
-        let corrected = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0);
-        let raw = self.fits(FitSpan::Inspiration, Drift::Kept, 0.0);
-        let circuit = self.circuit();
-        let behind = self.fits(FitSpan::Cycle, Drift::Corrected, circuit);
-        let offsets: Vec<f64> = self.breaths.iter().map(|(_, breath)| breath.offset).collect();
-        let flow: f64 = self.breaths.iter().map(|(_, breath)| breath.inspiratory_flow()).sum();
+        let cycles: Vec<&Cycle> = self.breaths.iter().map(|(_, cycle)| cycle).collect();
+        let flaws = Flaws::fit(&cycles, noise(&recording.pressure[self.rows()]))?;
+        let ([elastance, resistance, turbulence], fits) = with_flaws(&cycles, &flaws, 0.0)?;
+        let circuit = self.circuit(flaws.taken_out);
+        let (behind, behind_fits) = with_flaws(&cycles, &flaws, circuit)?;
+        let offsets: Vec<f64> = cycles.iter().map(|cycle| cycle.offset()).collect();
+        let flow: f64 = cycles.iter().map(|cycle| cycle.inspiratory_flow()).sum();
         let mut found = Identified {
             id: self.id.clone(),
-            breaths: corrected.len(),
-            breaths_left_out: self.left_out + self.breaths.len() - corrected.len(),
-            compliance: compliance(&corrected)?,
-            resistance: coefficient(&corrected, 2)?,
-            turbulence: coefficient(&corrected, 3)?,
+            breaths: fits.each.len(),
+            breaths_left_out: self.left_out.len() + self.breaths.len() - fits.each.len(),
+            compliance: inverse(&elastance),
+            resistance,
+            turbulence,
             offset: estimate(&offsets, 0.0)?,
-            residual: residual(&corrected),
-            uncorrected_compliance: compliance(&raw).map(|raw| raw.value),
+            leak: flaws.leak,
+            flow_delay_ms: flaws.delay_ms,
+            residual: fits.residual(),
+            uncorrected_compliance: self.uncorrected_compliance(),
             behind_circuit: BehindCircuit {
                 circuit_compliance: circuit,
-                compliance: compliance(&behind)?,
-                resistance: coefficient(&behind, 2)?,
-                turbulence: coefficient(&behind, 3)?,
-                residual: residual(&behind),
-                inspiratory_flow: flow / self.breaths.len() as f64,
+                compliance: inverse(&behind[0]),
+                resistance: behind[1],
+                turbulence: behind[2],
+                residual: behind_fits.residual(),
+                inspiratory_flow: flow / cycles.len() as f64,
             },
+            taken_out: flaws.taken_out,
+            each_breath: self.each_breath(recording, &flaws.taken_out),
+            left_out: self.left_out.clone(),
             remarks: Vec::new(),
         };
-        found.remarks = remarks::remarks(self, &found, recording);
+        found.remarks = remarks::remarks(self, &found, &flaws, recording);
         Some(found)
+    }
+
+    /// Takes the breaths that are whole cycles: an inspiration, no missing tick, as long as the others, and another breath after it.
+    fn take(&mut self, recording: &Recording, breaths: &[Range<usize>]) {
+        let followed = &breaths[..breaths.len().saturating_sub(1)];
+        let usual = median(followed.iter().map(|rows| rows.len() as f64).collect());
+        for rows in followed {
+            let inspiration = recording.inspiration(rows.clone()).map(|inspiration| inspiration.len());
+            let cycle = inspiration.and_then(|inspiration| Cycle::new(recording, rows, inspiration));
+            let whole = recording.tick[rows.end - 1] as usize + 1 == rows.len();
+            let why = match cycle {
+                _ if !whole => "rows are missing",
+                None => "no inspiration",
+                Some(_) if (rows.len() as f64) < LEAST_CYCLE * usual => "shorter than the others",
+                Some(cycle) => {
+                    self.breaths.push((rows.clone(), cycle));
+                    continue;
+                }
+            };
+            self.left_out.push(LeftOut { breath: recording.breath[rows.start], why });
+        }
+    }
+
+    /// Leaves out the cycles whose elastance or residual is far from that of all others: a cough, a disconnection, a patient's effort.
+    fn leave_out_odd(&mut self, recording: &Recording) {
+        let fit = |cycle: &Cycle| cycle.fit(FitSpan::Cycle, Drift::Corrected, &FlowPath::default());
+        let fits: Vec<_> = self.breaths.iter().map(|(_, cycle)| fit(cycle)).collect();
+        let elastance = usual(fits.iter().flatten().map(|fit| fit.coefficients[1]), ODD.1);
+        let residual = usual(fits.iter().flatten().map(|fit| fit.residual), ODD.2);
+        let why = |fit: &Solution<COEFFICIENTS>| {
+            let off = fit.coefficients[1] - elastance.0;
+            if fit.coefficients[1] <= 0.0 {
+                Some("negative compliance")
+            } else if off.abs() > elastance.1 {
+                Some("compliance unlike the others")
+            } else {
+                (fit.residual > residual.0 + residual.1).then_some("residual far above the others")
+            }
+        };
+        let mut fits = fits.iter();
+        self.breaths.retain(|(rows, _)| {
+            let fit = fits.next().and_then(Option::as_ref);
+            let Some(why) = fit.map_or(Some("no changing flow"), why) else { return true };
+            self.left_out.push(LeftOut { breath: recording.breath[rows.start], why });
+            false
+        });
+        self.left_out.sort_by_key(|left_out| left_out.breath);
     }
 
     /// From the first to the last row of its cycles.
@@ -272,55 +341,39 @@ impl LungCycles {
         first.zip(last).map_or(0..0, |((first, _), (last, _))| first.start..last.end)
     }
 
-    /// The fits of its cycles, without those with a negative compliance.
-    fn fits(&self, span: FitSpan, drift: Drift, circuit: f64) -> Vec<Solution<COEFFICIENTS>> {
-        let fits = self.breaths.iter().filter_map(|(_, breath)| breath.fit(span, drift, circuit));
-        fits.filter(|fit| fit.coefficients[1] > 0.0).collect()
+    fn each_breath(&self, recording: &Recording, path: &FlowPath) -> Vec<OneBreath> {
+        let one = |(rows, cycle): &(Range<usize>, Cycle)| {
+            let fit = cycle.fit(FitSpan::Cycle, Drift::Corrected, path)?;
+            let [_, elastance, resistance, _] = fit.coefficients;
+            let breath = recording.breath[rows.start];
+            Some(OneBreath { breath, compliance: 1.0 / elastance, resistance, residual: fit.residual })
+        };
+        self.breaths.iter().filter_map(one).collect()
+    }
+
+    /// The compliance that the inspirations alone give from the flow as measured, mL/cmH2O; `None` if their flow hardly changes.
+    fn uncorrected_compliance(&self) -> Option<f64> {
+        let fit = |cycle: &Cycle| cycle.fit(FitSpan::Inspiration, Drift::Kept, &FlowPath::default());
+        let elastances = self.breaths.iter().filter_map(|(_, cycle)| Some(fit(cycle)?.coefficients[1]));
+        let elastances: Vec<f64> = elastances.filter(|elastance| *elastance > 0.0).collect();
+        Some(1.0 / estimate(&elastances, 0.0)?.value)
     }
 
     /// Compliance of the circuit with the smallest residual over all cycles, mL/cmH2O.
-    fn circuit(&self) -> f64 {
+    fn circuit(&self, path: FlowPath) -> f64 {
         let (count, step) = CIRCUITS;
-        let fitted = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0).len();
+        let fits = |circuit: f64| {
+            let fit = |(_, cycle): &(Range<usize>, Cycle)| {
+                cycle.fit(FitSpan::Cycle, Drift::Corrected, &FlowPath { circuit, ..path })
+            };
+            let fits = self.breaths.iter().filter_map(fit).filter(|fit| fit.coefficients[1] > 0.0);
+            fits.fold((0, 0.0), |(count, sum), fit| (count + 1, sum + fit.residual.powi(2)))
+        };
+        let (fitted, _) = fits(0.0);
         let candidates = (0..count).map(|n| n as f64 * step).filter_map(|circuit| {
-            let fits = self.fits(FitSpan::Cycle, Drift::Corrected, circuit);
-            let sum: f64 = fits.iter().map(|fit| fit.residual.powi(2)).sum();
-            (fits.len() == fitted).then_some((circuit, sum))
+            let (count, sum) = fits(circuit);
+            (count == fitted).then_some((circuit, sum))
         });
         candidates.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0.0, |best| best.0)
     }
-}
-
-fn residual<const N: usize>(fits: &[Solution<N>]) -> f64 {
-    let square: f64 = fits.iter().map(|fit| fit.residual.powi(2)).sum();
-    (square / fits.len().max(1) as f64).sqrt()
-}
-
-/// The compliance from the mean elastance.
-fn compliance<const N: usize>(fits: &[Solution<N>]) -> Option<Estimate> {
-    let elastance = coefficient(fits, 1)?;
-    let positive = |elastance: f64| if elastance > 0.0 { 1.0 / elastance } else { f64::MAX };
-    Some(Estimate { value: 1.0 / elastance.value, low: 1.0 / elastance.high, high: positive(elastance.low) })
-}
-
-/// Estimate of a coefficient over breaths; a single breath uses its own interval.
-fn coefficient<const N: usize>(fits: &[Solution<N>], index: usize) -> Option<Estimate> {
-    let values: Vec<f64> = fits.iter().map(|fit| fit.coefficients[index]).collect();
-    estimate(&values, fits.first()?.half_widths[index])
-}
-
-/// Mean and 95 % interval from the spread of the values; `single` is the half-width for a single value.
-fn estimate(values: &[f64], single: f64) -> Option<Estimate> {
-    let count = values.len() as f64;
-    if values.is_empty() {
-        return None;
-    }
-    let value = values.iter().sum::<f64>() / count;
-    let half = if values.len() == 1 {
-        single
-    } else {
-        let variance = values.iter().map(|v| (v - value).powi(2)).sum::<f64>() / (count - 1.0);
-        student(values.len() - 1) * (variance / count).sqrt()
-    };
-    Some(Estimate { value, low: value - half, high: value + half })
 }

@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use super::cycle::{Cycle, Drift};
+use super::cycle::{Cycle, Drift, FlowPath};
 use super::{LungCycles, LungId, lungs};
 use data::recording::Recording;
 use engine::least_squares::solve;
@@ -52,12 +52,12 @@ pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Ran
 fn motion(recording: &Recording, lungs: &[LungCycles], inspirations: &[Range<usize>]) -> Option<Motion> {
     let breaths = lungs.iter().flat_map(|lung| &lung.breaths);
     let own = breaths.filter(|(rows, _)| inspirations.iter().any(|i| i.start == rows.start));
-    let offsets: Vec<f64> = own.map(|(_, breath)| breath.offset).collect();
+    let offsets: Vec<f64> = own.map(|(_, breath)| breath.offset()).collect();
     let offset = if offsets.is_empty() { 0.0 } else { offsets.iter().sum::<f64>() / offsets.len() as f64 };
     let (mut rows, mut values) = (Vec::new(), Vec::new());
     for inspiration in inspirations {
-        let cycle = cycle(recording, inspiration, offset)?;
-        let columns = cycle.rows(Drift::Corrected, 0.0);
+        let cycle = Cycle::new(recording, inspiration, inspiration.len())?;
+        let columns = cycle.rows(Drift::Known(offset), &FlowPath::default());
         let count = columns.len() as f64;
         // Subtracting the means removes P0 of each breath.
         let mean: [f64; SHARED] =
@@ -70,20 +70,15 @@ fn motion(recording: &Recording, lungs: &[LungCycles], inspirations: &[Range<usi
     Some(Motion { coefficients: solution.coefficients, offset })
 }
 
-fn cycle(recording: &Recording, rows: &Range<usize>, offset: f64) -> Option<Cycle> {
-    let mut cycle = Cycle::new(recording, rows, rows.len())?;
-    cycle.offset = offset;
-    Some(cycle)
-}
-
 impl Motion {
     /// Pressures of an inspiration, starting from the mean pressure and flow just before it.
     fn predict(&self, recording: &Recording, rows: &Range<usize>) -> Option<Vec<f64>> {
-        let columns = cycle(recording, rows, self.offset)?.rows(Drift::Corrected, 0.0);
+        let drift = Drift::Known(self.offset);
+        let columns = Cycle::new(recording, rows, rows.len())?.rows(drift, &FlowPath::default());
         let average = ((AVERAGE_S / recording.provenance.period_s()).round() as usize).max(1);
         let before = rows.start.saturating_sub(average)..rows.start.max(1);
-        let before = cycle(recording, &before, self.offset)?;
-        let (pressure, flows) = (before.pressure(), before.rows(Drift::Corrected, 0.0));
+        let before = Cycle::new(recording, &before, before.len())?;
+        let (pressure, flows) = (before.pressure(), before.rows(drift, &FlowPath::default()));
         let flow = flows.iter().map(|row| row[2]).sum::<f64>() / flows.len() as f64;
         let rise = |volume: f64, flow: f64| {
             let [elastance, linear, square] = self.coefficients;

@@ -1,0 +1,180 @@
+//! What spoils the flow of a recording: a delay against the pressure, and a leak. Both are fitted, and taken out of the flow if their
+//! intervals do not contain 0, the leak only if it also explains most of the residual.
+
+use super::cycle::{Cycle, Drift, FitSpan, FlowPath, LEAK, MOST_DELAY_S};
+use super::estimate::{Estimate, common, estimate};
+use super::median;
+
+/// Spacing of the delays that are tried, s.
+const DELAY_STEP_S: f64 = 0.004;
+/// Compliances of the circuit that are tried with each delay, mL/cmH2O: a circuit and a delay bend the curve alike.
+const DELAY_CIRCUITS: [f64; 5] = [0.0, 0.75, 1.5, 2.5, 4.0];
+/// Most breaths from which the delay is searched.
+const MOST_SEARCHED: usize = 6;
+/// Share of the residual beyond noise that a leak has to explain: a real lung is never exactly what the equation says, and a part of the
+/// difference resembles a leak.
+const EXPLAINS: f64 = 0.5;
+/// Number of times that the leak is fitted to what the last fit has left.
+const LEAK_ROUNDS: usize = 3;
+
+/// The flaws of a lung's recording.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Flaws {
+    /// Delay of the flow against the pressure, ms; negative if the flow is early.
+    pub(super) delay_ms: Estimate,
+    /// Leak, mL/s per cmH2O.
+    pub(super) leak: Estimate,
+    /// What of them is taken out of the flow.
+    pub(super) taken_out: FlowPath,
+    /// Both, whether taken out or not.
+    pub(super) all: FlowPath,
+    /// Residuals without the delay and with it, cmH2O.
+    pub(super) delay_residuals: (f64, f64),
+}
+
+impl Flaws {
+    /// The flaws of a lung with these cycles; `None` if none can be fitted.
+    ///
+    /// `noise` is the standard deviation of the pressure's noise, cmH2O.
+    pub(super) fn fit(cycles: &[&Cycle], noise: f64) -> Option<Self> {
+        let searched: Vec<&Cycle> =
+            cycles.iter().copied().step_by(cycles.len().div_ceil(MOST_SEARCHED).max(1)).collect();
+        let delay = Delay::search(&searched)?;
+        let path = |delay_s: f64, leak: f64| FlowPath { circuit: delay.circuit, delay_s, leak };
+        let delay_ms = delay.interval(cycles);
+        let late = delay_ms.low > 0.0 || delay_ms.high < 0.0;
+        let delay_s = if late { delay.seconds } else { 0.0 };
+        let leak = leak(cycles, path(delay.seconds, 0.0))?;
+        let square = |leak: f64| {
+            let fit = |cycle: &&Cycle| cycle.fit(FitSpan::Cycle, Drift::Corrected, &path(delay_s, leak));
+            pooled(cycles.iter().filter_map(fit).map(|fit| fit.residual)).powi(2)
+        };
+        let (without, with) = (square(0.0), square(leak.value));
+        let noise = noise * noise / cycles.first()?.rows_averaged() as f64;
+        let leaks = leak.low > 0.0 && without - with > EXPLAINS * (without - noise);
+        let of = |delay_s: f64, leak: f64| FlowPath { circuit: 0.0, delay_s, leak };
+        Some(Self {
+            delay_ms,
+            leak,
+            taken_out: of(delay_s, if leaks { leak.value } else { 0.0 }),
+            all: of(delay.seconds, leak.value),
+            delay_residuals: delay.residuals,
+        })
+    }
+
+    /// The path with both ends of the delay's interval, and with both of the leak's.
+    pub(super) fn ends(&self) -> [[FlowPath; 2]; 2] {
+        let (delay, leak) = (&self.delay_ms, &self.leak);
+        [
+            [delay.low, delay.high].map(|ms| FlowPath { delay_s: ms / 1e3, ..self.all }),
+            [leak.low, leak.high].map(|leak| FlowPath { leak, ..self.all }),
+        ]
+    }
+}
+
+/// The delay with the smallest residual, whatever circuit and leak take.
+struct Delay {
+    seconds: f64,
+    /// The circuit's compliance beside it, mL/cmH2O.
+    circuit: f64,
+    /// Residual without the delay and with it, cmH2O.
+    residuals: (f64, f64),
+}
+
+impl Delay {
+    fn search(cycles: &[&Cycle]) -> Option<Self> {
+        let at = |delay_s: f64| {
+            let residuals = DELAY_CIRCUITS.map(|circuit| {
+                let path = FlowPath { circuit, delay_s, leak: 0.0 };
+                (circuit, pooled(cycles.iter().filter_map(|cycle| leaking_residual(cycle, &path))))
+            });
+            residuals.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0.0, f64::INFINITY))
+        };
+        let count = (MOST_DELAY_S / DELAY_STEP_S) as i32;
+        let tried = (-count..=count).map(|n| f64::from(n) * DELAY_STEP_S).map(|delay| (delay, at(delay)));
+        let (delay, (circuit, least)) = tried.min_by(|a, b| a.1.1.total_cmp(&b.1.1))?;
+        if !least.is_finite() {
+            return None;
+        }
+        let square = |delay: f64| {
+            let path = FlowPath { circuit, delay_s: delay, leak: 0.0 };
+            pooled(cycles.iter().filter_map(|cycle| leaking_residual(cycle, &path))).powi(2)
+        };
+        let seconds = delay + vertex(square, delay).map_or(0.0, |vertex| vertex.0);
+        Some(Self { seconds, circuit, residuals: (at(0.0).1, least) })
+    }
+
+    /// The delay in ms, from the spread of the breaths' own best delays and the precision of each.
+    fn interval(&self, cycles: &[&Cycle]) -> Estimate {
+        let own = |cycle: &&Cycle| {
+            let square = |delay_s: f64| {
+                let path = FlowPath { circuit: self.circuit, delay_s, leak: 0.0 };
+                leaking_residual(cycle, &path).map_or(f64::INFINITY, |residual| residual * residual)
+            };
+            let path = FlowPath { circuit: self.circuit, delay_s: self.seconds, leak: 0.0 };
+            let independent = cycle.leaking(&path)?.independent;
+            let (off, curvature) = vertex(square, self.seconds)?;
+            Some((
+                1e3 * (self.seconds + off),
+                1e3 * 1.96 * (square(self.seconds + off) / independent / curvature).sqrt(),
+            ))
+        };
+        let own: Vec<(f64, f64)> = cycles.iter().filter_map(own).collect();
+        let values: Vec<f64> = own.iter().map(|(value, _)| *value).collect();
+        let half = median(own.iter().map(|(_, half)| *half).collect());
+        estimate(&values, half).map_or(
+            Estimate { value: 1e3 * self.seconds, low: -1e3 * MOST_DELAY_S, high: 1e3 * MOST_DELAY_S },
+            |found| found.widened(half).centred(1e3 * self.seconds),
+        )
+    }
+}
+
+/// The distance from `middle` to the lowest point of the parabola through a function's values around it, and its second derivative by
+/// half; `None` if it has no lowest point.
+fn vertex(function: impl Fn(f64) -> f64, middle: f64) -> Option<(f64, f64)> {
+    let [left, here, right] = [-1.0, 0.0, 1.0].map(|side| function(middle + side * DELAY_STEP_S));
+    let bend = 0.5 * (left + right) - here;
+    (bend > 0.0 && bend.is_finite()).then(|| {
+        let off = 0.25 * (left - right) / bend;
+        (off.clamp(-2.0, 2.0) * DELAY_STEP_S, bend / DELAY_STEP_S.powi(2))
+    })
+}
+
+/// The leak, mL/s per cmH2O. As with every coefficient, its interval also has what all cycles have in common and what the sampling hides.
+fn leak(cycles: &[&Cycle], path: FlowPath) -> Option<Estimate> {
+    let (leak, single) = leak_and_precision(cycles, path)?;
+    let thinned: Vec<Cycle> = cycles.iter().map(|cycle| cycle.thinned()).collect();
+    let thinned = leak_and_precision(&thinned.iter().collect::<Vec<_>>(), path);
+    let sampling = thinned.map_or(0.0, |(thinned, _)| thinned.value - leak.value);
+    let path = FlowPath { leak: leak.value, ..path };
+    Some(leak.widened(single * common(cycles, &path)).widened(sampling))
+}
+
+/// The leak with the interval that its spread over the cycles gives, and the usual precision of a single cycle.
+fn leak_and_precision(cycles: &[&Cycle], mut path: FlowPath) -> Option<(Estimate, f64)> {
+    let mut found = None;
+    for _ in 0..LEAK_ROUNDS {
+        let own = |cycle: &&Cycle| {
+            let fit = cycle.leaking(&path)?;
+            let elastance = fit.coefficients[1];
+            Some((path.leak - fit.coefficients[LEAK] / elastance, fit.half_widths[LEAK] / elastance.abs()))
+        };
+        let own: Vec<(f64, f64)> = cycles.iter().filter_map(own).collect();
+        let single = median(own.iter().map(|(_, half)| *half).collect());
+        let leak = estimate(&own.iter().map(|(leak, _)| *leak).collect::<Vec<_>>(), single)?;
+        path.leak = leak.value;
+        found = Some((leak, single));
+    }
+    found
+}
+
+fn leaking_residual(cycle: &Cycle, path: &FlowPath) -> Option<f64> {
+    Some(cycle.leaking(path)?.residual)
+}
+
+/// Root mean square of residuals; infinite without any.
+fn pooled(residuals: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) =
+        residuals.fold((0.0, 0.0), |(sum, count), residual| (sum + residual * residual, count + 1.0));
+    if count > 0.0 { (sum / count).sqrt() } else { f64::INFINITY }
+}
