@@ -1,10 +1,13 @@
 //! The recipe of a fit: which architecture suits a recording, which of its breaths are held out, and how long the fit
 //! runs.
 
+mod held_out;
 #[cfg(test)]
 mod tests;
 
 use thiserror::Error;
+
+pub use self::held_out::HeldOut;
 
 use crate::pipeline::{PAPER_PEEP, PAPER_PERIOD_US};
 use crate::simulator::episode::{Episode, channels, split, ventilators};
@@ -13,7 +16,7 @@ use crate::simulator::hybrid::HybridConfig;
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
-use data::identity::LungParameters;
+use data::identity::TestRun;
 use data::recording::Recording;
 use progress::Progress;
 use ventilator::seeds;
@@ -55,7 +58,7 @@ pub struct Recipe {
     /// One in this number of breaths of each lung or test run is held out.
     pub hold_out: usize,
     /// Lungs held out altogether.
-    pub hold_out_lungs: Vec<LungParameters>,
+    pub hold_out_lungs: Vec<HeldOut>,
     /// Seed of the initial parameters and the order of breaths.
     pub seed: u64,
 }
@@ -80,10 +83,10 @@ impl Default for Recipe {
 #[derive(Debug, Error)]
 pub enum RecipeError {
     /// A lung to hold out is not in the recording.
-    #[error("no breath of the lung {lung} (R:C): the recording has {names}")]
+    #[error("no breath of the lung {lung}: the recording has {names}")]
     NoSuchLung {
         /// The lung to hold out.
-        lung: LungParameters,
+        lung: HeldOut,
         /// The lungs in the recording.
         names: String,
     },
@@ -207,17 +210,17 @@ impl Recipe {
         }
     }
 
-    /// Splits breaths into those to fit and those to score with.
+    /// Splits the breaths of a recording with these groups into those to fit and those to score with.
     ///
     /// # Errors
     /// A lung to hold out that is not in the recording, or too few breaths.
-    pub fn parts<'a>(&self, all: &'a [Episode]) -> Result<Parts<'a>, RecipeError> {
+    pub fn parts<'a>(&self, all: &'a [Episode], groups: &[TestRun]) -> Result<Parts<'a>, RecipeError> {
         for lung in &self.hold_out_lungs {
-            if !all.iter().any(|episode| episode.lung == Some(*lung)) {
-                return Err(RecipeError::NoSuchLung { lung: *lung, names: lungs(all) });
+            if !all.iter().any(|episode| lung.has(episode, groups)) {
+                return Err(RecipeError::NoSuchLung { lung: lung.clone(), names: lungs(all, groups) });
             }
         }
-        let other_lung = |e: &&Episode| e.lung.is_some_and(|lung| self.hold_out_lungs.contains(&lung));
+        let other_lung = |e: &&Episode| self.hold_out_lungs.iter().any(|lung| lung.has(e, groups));
         // Counts every breath in its group, whether or not its lung is held out.
         let (mut training, mut held_out) = split(all, self.hold_out);
         training.retain(|episode| !other_lung(episode));
@@ -269,11 +272,12 @@ impl Recipe {
 }
 
 /// The lungs of these breaths, as text.
-fn lungs(episodes: &[Episode]) -> String {
+fn lungs(episodes: &[Episode], groups: &[TestRun]) -> String {
     let mut names: Vec<_> = episodes.iter().filter_map(|e| e.lung).map(|lung| lung.to_string()).collect();
     names.sort();
     names.dedup();
-    if names.is_empty() { "no R and C at all".to_owned() } else { names.join(", ") }
+    names.extend(groups.iter().map(TestRun::to_string));
+    if names.is_empty() { "neither R and C nor names".to_owned() } else { names.join(", ") }
 }
 
 /// Whether a recording names more than one lung.

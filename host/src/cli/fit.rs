@@ -12,10 +12,9 @@ use clap::ValueEnum;
 use crate::args::preset::Preset;
 use crate::command::bounds::{some, within};
 use crate::command::{Command, Context, Makes, OutFile, Output, OutputArgs, quoted};
-use data::identity::LungParameters;
 use data::kind;
 use data::recording::Recording;
-use learn::recipe::{self, Recipe};
+use learn::recipe::{self, HeldOut, Recipe};
 use learn::simulator::episode::episodes;
 use learn::simulator::open_loop::OpenLoop;
 use show::report::{Cell, Section, Table};
@@ -71,9 +70,9 @@ pub struct Args {
     /// Hold out every N-th breath of each lung or test run from the fit, to score it
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = within::<u16>(2, u16::MAX))]
     hold_out: u16,
-    /// Hold out every breath of the lung with this nominal resistance and compliance; repeatable
-    #[arg(long, value_name = "R:C")]
-    hold_out_lung: Vec<LungParameters>,
+    /// Hold out every breath of the lung with this nominal resistance and compliance, or with this name; repeatable
+    #[arg(long, value_name = "R:C|NAME")]
+    hold_out_lung: Vec<HeldOut>,
     /// Seed of the initial parameters and the order of breaths
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -117,7 +116,7 @@ impl Command for Args {
         let recipe = recipe(self);
         let architecture = recipe.architecture(&recording)?;
         let all = episodes(&recording, architecture.timing());
-        let parts = recipe.parts(&all)?;
+        let parts = recipe.parts(&all, &recording.provenance.groups)?;
         let fitted =
             context.progress(|progress| recipe.fit(architecture, &recording, &parts.training, progress))?;
         if let Some(path) = &self.out {

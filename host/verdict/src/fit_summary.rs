@@ -192,8 +192,9 @@ fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[TestRun]) -> 
 mod tests {
     use super::*;
     use data::identity::LungParameters;
-    use data::import::{measured, measured_recording};
-    use learn::recipe::Recipe;
+    use data::import::format::Format;
+    use data::import::{import_as, measured, measured_recording, recorded_files};
+    use learn::recipe::{HeldOut, Recipe};
     use learn::simulator::episode::episodes;
     use learn::simulator::fit::{Fit, FitConfig};
     use learn::simulator::unit::UnitConfig;
@@ -270,12 +271,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let recording = measured_recording(&[paths[0].clone(), paths[2].clone()], folder.path());
         let lung = |resistance| LungParameters { resistance, compliance: 20.0 };
-        let hold_out_lungs = vec![lung(5.0), lung(50.0)];
+        let hold_out_lungs = [5.0, 50.0].map(|resistance| HeldOut::Lung(lung(resistance))).to_vec();
         let recipe = Recipe { epochs: Some(400), hold_out_lungs, ..Recipe::default() };
         let architecture = recipe.architecture(&recording).unwrap();
         assert_eq!(architecture.timing().channels, 1, "the exhale valve follows the inhale valve");
         let all = episodes(&recording, architecture.timing());
-        let parts = recipe.parts(&all).unwrap();
+        let parts = recipe.parts(&all, &recording.provenance.groups).unwrap();
         let fitted = recipe.fit(architecture, &recording, &parts.training, &Progress::silent()).unwrap();
         let summary = FitSummary::new(recipe.seed, &fitted, &parts, &recording);
         let lung = summary.open_loop_held_out_lung.unwrap();
@@ -295,5 +296,25 @@ mod tests {
             "a plant, no controller: {:?}",
             summary.response
         );
+    }
+
+    /// Uses a fraction of the default's training.
+    #[test]
+    fn simulators_of_blower_ventilators_have_half_of_the_classical_error() {
+        let Some(paths) = recorded_files("makair", &["v2-a.record", "v2-b.record", "v2-c.record"]) else {
+            return;
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("records.parquet");
+        import_as(&Format::Makair, &paths, &out, &Progress::silent()).unwrap();
+        let recording = Recording::load(&out).unwrap();
+        let recipe = Recipe { epochs: Some(2000), ..Recipe::default() };
+        let architecture = recipe.architecture(&recording).unwrap();
+        let all = episodes(&recording, architecture.timing());
+        let parts = recipe.parts(&all, &recording.provenance.groups).unwrap();
+        let fitted = recipe.fit(architecture, &recording, &parts.training, &Progress::silent()).unwrap();
+        let summary = FitSummary::new(recipe.seed, &fitted, &parts, &recording);
+        let classical = summary.classical_open_loop.unwrap();
+        assert!(summary.open_loop < 0.5 * classical, "{} {classical}", summary.open_loop);
     }
 }

@@ -37,7 +37,7 @@ use self::inputs::Inputs;
 use self::inspirations::Phased;
 use self::makair::MakairRows;
 use self::map::{Quantity, StartBy, TableLayout};
-pub use self::measured::{measured, measured_recording};
+pub use self::measured::{files as recorded_files, measured, measured_recording};
 use self::pb840::Pb840Rows;
 pub(crate) use self::pirds::import_pirds;
 pub use self::propose::propose;

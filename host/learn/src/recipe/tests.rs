@@ -87,14 +87,20 @@ fn a_lung_held_out_is_in_no_other_part() {
     };
     let all: Vec<Episode> =
         (0..30).map(|n| if n % 3 == 0 { of(lung(5.0), 1) } else { of(lung(20.0), 0) }).collect();
-    let holding_out = |lung| Recipe { hold_out_lungs: vec![lung], ..Recipe::default() };
-    let recipe = holding_out(lung(5.0));
-    let parts = recipe.parts(&all).unwrap();
+    let holding_out =
+        |text: &str| Recipe { hold_out_lungs: vec![text.parse().unwrap()], ..Recipe::default() };
+    let groups = ["bench".into(), "ward:2".into()];
     let is_other = |episode: &&Episode| episode.lung == Some(lung(5.0));
-    assert!(!parts.training.iter().chain(&parts.held_out).any(is_other));
-    assert_eq!((parts.training.len(), parts.held_out.len(), parts.other_lungs.len()), (16, 4, 10));
-    let refused = holding_out(lung(7.0)).parts(&all).unwrap_err().to_string();
-    assert!(refused.contains("20:20, 5:20"), "{refused}");
-    let few = Recipe::default().parts(&all[..3]).unwrap_err().to_string();
+    for name in ["5:20", "ward:2"] {
+        let recipe = holding_out(name);
+        let parts = recipe.parts(&all, &groups).unwrap();
+        assert!(!parts.training.iter().chain(&parts.held_out).any(is_other));
+        assert_eq!((parts.training.len(), parts.held_out.len(), parts.other_lungs.len()), (16, 4, 10));
+    }
+    for unknown in ["7:20", "ward:3"] {
+        let refused = holding_out(unknown).parts(&all, &groups).unwrap_err().to_string();
+        assert!(refused.contains(unknown) && refused.contains("20:20, 5:20, bench, ward:2"), "{refused}");
+    }
+    let few = Recipe::default().parts(&all[..3], &groups).unwrap_err().to_string();
     assert!(few.contains("3 complete inspirations are too few"), "{few}");
 }

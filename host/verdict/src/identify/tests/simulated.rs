@@ -86,7 +86,7 @@ pub(super) fn flawed(seed: u64) -> Simulated {
     let efforts = (half(0.05, 0.3), half(2.0, 10.0));
     let coarse = half(0.0, 1.0) > 0.0;
     let period_s = if coarse { 0.04 } else { [0.005, 0.01, 0.02][rng.random_range(0..3)] };
-    Simulated { late_s, leak, offset, efforts, period_s, ..sound(seed) }
+    Simulated { period_s, late_s, leak, offset, efforts, ..sound(seed) }
 }
 
 impl Simulated {
