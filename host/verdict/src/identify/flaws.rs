@@ -7,6 +7,8 @@ use super::median;
 
 /// Spacing of the delays that are tried, s.
 const DELAY_STEP_S: f64 = 0.004;
+/// Number of those spacings between the delays that are tried first.
+const COARSE_STEPS: f64 = 5.0;
 /// Compliances of the circuit that are tried with each delay, mL/cmH2O: a circuit and a delay bend the curve alike.
 const DELAY_CIRCUITS: [f64; 5] = [0.0, 0.75, 1.5, 2.5, 4.0];
 /// Most breaths from which the delay is searched.
@@ -90,9 +92,15 @@ impl Delay {
             });
             residuals.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0.0, f64::INFINITY))
         };
-        let count = (MOST_DELAY_S / DELAY_STEP_S) as i32;
-        let tried = (-count..=count).map(|n| f64::from(n) * DELAY_STEP_S).map(|delay| (delay, at(delay)));
-        let (delay, (circuit, least)) = tried.min_by(|a, b| a.1.1.total_cmp(&b.1.1))?;
+        // In wide steps, then in narrow ones around the best: the residual has one valley.
+        let mut best = (0.0, at(0.0));
+        for step_s in [COARSE_STEPS * DELAY_STEP_S, DELAY_STEP_S] {
+            let count = if step_s > DELAY_STEP_S { MOST_DELAY_S / step_s } else { COARSE_STEPS };
+            let around = |n: i32| (best.0 + f64::from(n) * step_s).clamp(-MOST_DELAY_S, MOST_DELAY_S);
+            let tried = (-(count as i32)..=count as i32).map(around).map(|delay| (delay, at(delay)));
+            best = tried.min_by(|a, b| a.1.1.total_cmp(&b.1.1))?;
+        }
+        let (delay, (circuit, least)) = best;
         if !least.is_finite() {
             return None;
         }
