@@ -4,6 +4,7 @@
 use super::cycle::{Cycle, Drift, FitSpan, FlowPath, LEAK, MOST_DELAY_S};
 use super::estimate::{Estimate, common, estimate};
 use super::median;
+use engine::least_squares::student;
 
 /// Spacing of the delays that are tried, s.
 const DELAY_STEP_S: f64 = 0.004;
@@ -47,6 +48,9 @@ impl Flaws {
         let late = delay_ms.low > 0.0 || delay_ms.high < 0.0;
         let delay_s = if late { delay.seconds } else { 0.0 };
         let leak = leak(cycles, path(delay.seconds, 0.0))?;
+        let with = |delay_ms: f64| leak_and_precision(cycles, path(delay_ms / 1e3, 0.0));
+        let off = |delay_ms: f64| with(delay_ms).map_or(0.0, |(end, _)| (end.value - leak.value).abs());
+        let leak = leak.widened(off(delay_ms.low).max(off(delay_ms.high)));
         let square = |leak: f64| {
             let fit = |cycle: &&Cycle| cycle.fit(FitSpan::Cycle, Drift::Corrected, &path(delay_s, leak));
             pooled(cycles.iter().filter_map(fit).map(|fit| fit.residual)).powi(2)
@@ -112,28 +116,34 @@ impl Delay {
         Some(Self { seconds, circuit, residuals: (at(0.0).1, least) })
     }
 
-    /// The delay in ms, from the spread of the breaths' own best delays and the precision of each.
+    /// The delay in ms, from the spread of the breaths' own best delays, the precision of each, and what the sampling hides.
     fn interval(&self, cycles: &[&Cycle]) -> Estimate {
-        let own = |cycle: &&Cycle| {
-            let square = |delay_s: f64| {
-                let path = FlowPath { circuit: self.circuit, delay_s, leak: 0.0 };
-                leaking_residual(cycle, &path).map_or(f64::INFINITY, |residual| residual * residual)
-            };
-            let path = FlowPath { circuit: self.circuit, delay_s: self.seconds, leak: 0.0 };
-            let independent = cycle.leaking(&path)?.independent;
-            let (off, curvature) = vertex(square, self.seconds)?;
-            Some((
-                1e3 * (self.seconds + off),
-                1e3 * 1.96 * (square(self.seconds + off) / independent / curvature).sqrt(),
-            ))
+        let thinned: Vec<Cycle> = cycles.iter().map(|cycle| cycle.thinned()).collect();
+        let own = |cycles: &mut dyn Iterator<Item = &Cycle>| -> Vec<_> {
+            cycles.filter_map(|cycle| self.of_cycle(cycle)).collect()
         };
-        let own: Vec<(f64, f64)> = cycles.iter().filter_map(own).collect();
-        let values: Vec<f64> = own.iter().map(|(value, _)| *value).collect();
-        let half = median(own.iter().map(|(_, half)| *half).collect());
-        estimate(&values, half).map_or(
+        let (full, thinned) = (own(&mut cycles.iter().copied()), own(&mut thinned.iter()));
+        let half = median(full.iter().map(|(_, half)| *half).collect());
+        let mean =
+            |own: &[(f64, f64)]| estimate(&own.iter().map(|(value, _)| *value).collect::<Vec<_>>(), half);
+        mean(&full).map_or(
             Estimate { value: 1e3 * self.seconds, low: -1e3 * MOST_DELAY_S, high: 1e3 * MOST_DELAY_S },
-            |found| found.widened(half).centred(1e3 * self.seconds),
+            |found| {
+                let sampling = mean(&thinned).map_or(0.0, |thinned| thinned.value - found.value);
+                found.widened(half).widened(sampling).centred(1e3 * self.seconds)
+            },
         )
+    }
+
+    /// The delay of one cycle and its half-width, ms.
+    fn of_cycle(&self, cycle: &Cycle) -> Option<(f64, f64)> {
+        let path = |delay_s: f64| FlowPath { circuit: self.circuit, delay_s, leak: 0.0 };
+        let square = |delay_s: f64| leaking_residual(cycle, &path(delay_s)).map_or(f64::INFINITY, |r| r * r);
+        let independent = cycle.leaking(&path(self.seconds))?.independent;
+        let (off, curvature) = vertex(square, self.seconds)?;
+        let best = self.seconds + off;
+        let half = student(usize::MAX) * (square(best) / independent / curvature).sqrt();
+        Some((1e3 * best, 1e3 * half))
     }
 }
 
