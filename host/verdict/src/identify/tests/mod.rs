@@ -326,6 +326,25 @@ fn intervals_contain_the_truth_in_nine_of_ten_sound_recordings() {
 }
 
 #[test]
+fn intervals_of_few_samples_are_wide_enough() {
+    let coarse = |seed| Simulated { period_s: 0.04, ..simulated::sound(seed) };
+    let found = coverage((0..100).map(coarse));
+    assert!(found.iter().all(|share| *share >= 0.9), "{found:?}");
+}
+
+#[test]
+fn breaths_with_an_effort_of_the_patient_are_left_out() {
+    let (mut left_out, mut worst) = (0, 0.0_f64);
+    for seed in 0..20 {
+        let truth = Simulated { efforts: (0.2, 3.0), breaths: 20, ..simulated::sound(seed) };
+        let found = identify(&truth.record()).unwrap().remove(0);
+        left_out += found.left_out.iter().filter(|left_out| left_out.why.contains("residual")).count();
+        worst = worst.max((found.compliance.value / truth.compliance - 1.0).abs());
+    }
+    assert!(left_out > 20 && worst < 0.05, "{left_out} {worst}");
+}
+
+#[test]
 fn a_clean_recording_gives_r_and_c_within_a_hundredth() {
     for seed in 0..40 {
         let truth =
