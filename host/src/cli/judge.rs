@@ -100,7 +100,7 @@ impl LimitArgs {
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
 pub struct Summary {
-    /// Whether every declared limit is kept by every breath.
+    /// Whether no breath violates a declared limit; those in which a limited figure is unknown do not count.
     pass: bool,
     files: Vec<FileVerdict>,
 }

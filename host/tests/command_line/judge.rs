@@ -67,7 +67,7 @@ fn the_exit_status_tells_a_violation_from_a_file_that_cannot_be_judged() {
     assert_eq!(text(&violated.stderr), "error: 1 of 7 judged breaths violate a declared limit\n");
     assert!(
         text(&violated.stdout)
-            .contains("VIOLATED by 1 of 7 breaths; worst 6.00 in breath 6 of A:1 (R20 C20)")
+            .contains("VIOLATED in 1 of 7 breaths judged; worst 6.00 in breath 6 of A:1 (R20 C20)")
     );
     place.ok("judge table.csv --map map.toml --overshoot 6.01");
     assert!(place.refused("judge table.csv").contains("--map"));
@@ -122,7 +122,7 @@ fn without_set_points_the_rest_is_judged_and_limits_on_errors_are_refused() {
     let map = MAP.replace("[target]\ncolumn = \"set\"\n", "");
     fs::write(place.path("map.toml"), map).unwrap();
     let out = place.ok("judge table.csv --map map.toml");
-    assert!(out.contains("No set-points") && out.contains("accuracy unknown"), "{out}");
+    assert!(out.contains("Target: inferred") && out.contains("accuracy unknown"), "{out}");
     assert!(place.refused("judge table.csv --map map.toml --accuracy 2,4").contains("no set-point"));
 }
 

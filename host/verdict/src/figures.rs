@@ -5,6 +5,7 @@ use std::ops::Range;
 use serde::Serialize;
 
 use super::curve::{BreathCurve, SMALLEST_STEP};
+use super::ramp::Ramp;
 use super::swings::{Swings, Turns};
 use engine::least_squares::solve;
 use monitoring::curve::{RISE, mean_over_time, rise};
@@ -44,6 +45,8 @@ pub struct Figures {
     pub error: Option<f64>,
     /// Time from 10 to 90 % of the way from PEEP to the level, ms.
     pub rise_ms: Option<f64>,
+    /// The same time of the target; `None` if it is inferred.
+    pub target_rise_ms: Option<f64>,
     /// Whether the pressure gets to 90 % of that way.
     pub reached: bool,
     /// Highest pressure above the level, at least 0.
@@ -101,6 +104,7 @@ impl Figures {
             level,
             error: context.set_point.then_some(score.score),
             rise_ms: None,
+            target_rise_ms: None,
             reached: false,
             overshoot: (peak - level).max(0.0),
             peak_at_s: highest as f64 * curve.period_s,
@@ -122,16 +126,21 @@ impl Figures {
             bridged: curve.bridged,
             remarks: Vec::new(),
         };
-        figures.rise(curve);
+        figures.rise(curve, context);
         figures.settle(curve, context.noise);
-        figures.plateau(curve, settled.clone(), context);
+        let risen = figures.risen(curve, settled.clone(), context);
+        figures.plateau(curve, risen, context);
         figures.expiration(curve, context);
         figures.target(curve, &settled, context);
         figures
     }
 
-    fn rise(&mut self, curve: &BreathCurve) {
+    fn rise(&mut self, curve: &BreathCurve, context: &Context) {
         let way = (curve.peep, self.level);
+        if context.set_point {
+            self.target_rise_ms =
+                rise(&curve.target, way, curve.period_s).map(|(start, end)| 1e3 * (end - start));
+        }
         let reached = rise(&curve.pressure, way, curve.period_s);
         self.reached = reached.is_some();
         if curve.pressure[0] >= way.0 + RISE.0 * (way.1 - way.0) {
@@ -141,6 +150,25 @@ impl Figures {
         } else {
             self.remarks.push("no rise time: the pressure does not reach 90 % of the way".to_owned());
         }
+    }
+
+    /// The settled ticks of the target without those in which the pressure still rises as a rise-time setting makes it: one
+    /// that the target does not show, or any rise if the target is inferred.
+    fn risen(&mut self, curve: &BreathCurve, settled: Range<usize>, context: &Context) -> Range<usize> {
+        let way = (curve.peep, self.level);
+        let ramp = |values: &[f64], noise: f64| Ramp::new(values, way, curve.period_s, noise);
+        let Some(rise) = ramp(&curve.pressure, context.noise) else { return settled };
+        let own = context.set_point && ramp(&curve.target, 0.0).is_some_and(|target| rise.is_own(&target));
+        if own {
+            self.remarks.push(
+                "the pressure rises in a straight line, its target at once: a rise-time setting or a limited flow, which \
+                 error and rise time include"
+                    .to_owned(),
+            );
+        }
+        let risen = (rise.end_s / curve.period_s).ceil() as usize;
+        let first = if own || !context.set_point { settled.start.max(risen) } else { settled.start };
+        first.min(settled.end)..settled.end
     }
 
     /// Undershoot and swings, from the end of the rise on.

@@ -17,6 +17,7 @@ pub mod fit_summary;
 pub mod identify;
 mod limits;
 mod lung_report;
+mod ramp;
 mod settled;
 mod sore_spots;
 mod swings;
@@ -92,6 +93,17 @@ pub enum Judged {
     Measured,
 }
 
+/// Where the target that the pressure is compared with comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Target {
+    /// The recording has set-points.
+    AsSet,
+    /// It is the plateau of each breath's pressure. Errors and accuracy are unknown, overshoot and undershoot refer to that
+    /// plateau, and the rise is as slow as the ventilator makes it: what it was asked to do is unknown.
+    Inferred,
+}
+
 /// The verdict on a recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Verdict {
@@ -103,9 +115,8 @@ pub struct Verdict {
     pub judged: Judged,
     /// Standard deviation of its noise, cmH2O.
     pub noise: f64,
-    /// Whether the recording has set-points. Without them errors and accuracy are unknown, and overshoot, undershoot and
-    /// rise refer to the measured plateau.
-    pub set_point: bool,
+    /// Where the target comes from.
+    pub target: Target,
     /// Share of the inspiratory ticks with a random perturbation, 0 to 1: those breaths do not show the controller alone.
     pub explored: f64,
     /// Accuracy at the end of the inspiration, in relation to the target there.
@@ -134,7 +145,7 @@ impl Verdict {
 
     /// Results of the tolerances that the sore spots have without declared limits, as far as a breath has the figure.
     pub fn tolerated(&self) -> Vec<LimitResult> {
-        let mut results = limits::check(&Limits::tolerated(), &self.breaths);
+        let mut results = limits::tolerated(&self.breaths);
         results.retain(|result| result.checked > 0);
         results
     }
@@ -176,7 +187,7 @@ pub fn judge(recording: &Recording, judged: Judged, limits: &Limits) -> Result<V
         period_us: recording.provenance.period_us,
         judged,
         noise: context.noise,
-        set_point: context.set_point,
+        target: if context.set_point { Target::AsSet } else { Target::Inferred },
         explored: recording.explored(),
         accuracy_inspiration: errors(|breath| {
             let level = breath.figures.level;

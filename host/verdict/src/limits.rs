@@ -91,6 +91,16 @@ impl Kind {
         Some(Band { fixed, percent: 0.0 })
     }
 
+    /// What is tolerated in a breath; `None` if there is no tolerance. A rise may take as long as its target's in addition,
+    /// and any time if nobody knows the target's.
+    fn tolerates(self, breath: &Breath) -> Option<f64> {
+        let tolerated = self.tolerated()?.at(self.set(breath));
+        match self {
+            Self::Rise => Some(tolerated + breath.figures.target_rise_ms?),
+            _ => Some(tolerated),
+        }
+    }
+
     /// The breath's value of this kind, its size and place; `None` if it is unknown.
     pub(super) fn finding(self, breath: &Breath) -> Option<Finding> {
         let figures = &breath.figures;
@@ -162,15 +172,6 @@ impl Limits {
         self
     }
 
-    /// All tolerances of the sore spots, as declared limits.
-    pub(super) fn tolerated() -> Self {
-        let mut declared = [None; KINDS];
-        for kind in Kind::ALL {
-            declared[kind as usize] = kind.tolerated();
-        }
-        Self { declared }
-    }
-
     /// The declared limits.
     pub(super) fn declared(&self) -> impl Iterator<Item = (Kind, Band)> {
         Kind::ALL.into_iter().filter_map(|kind| Some((kind, self.declared[kind as usize]?)))
@@ -178,7 +179,10 @@ impl Limits {
 
     /// Allowed value of a kind in a breath; `None` if there is no limit to it.
     pub(super) fn allowed(&self, kind: Kind, breath: &Breath) -> Option<f64> {
-        Some(self.declared[kind as usize].or(kind.tolerated())?.at(kind.set(breath)))
+        match self.declared[kind as usize] {
+            Some(declared) => Some(declared.at(kind.set(breath))),
+            None => kind.tolerates(breath),
+        }
     }
 }
 
@@ -212,27 +216,36 @@ pub struct Violation {
 
 /// Checks each declared limit on each breath.
 pub(super) fn check(limits: &Limits, breaths: &[Breath]) -> Vec<LimitResult> {
-    let one = |(kind, limit): (Kind, Band)| {
-        let mut result = LimitResult { kind, limit, checked: 0, unknown: 0, violations: Vec::new() };
-        for breath in breaths {
-            let Some(finding) = kind.finding(breath) else {
-                result.unknown += 1;
-                continue;
-            };
-            result.checked += 1;
-            let allowed = limit.at(kind.set(breath));
-            let kept = !finding.beyond && finding.value <= allowed;
-            if !kept {
-                let lung = breath.lung_name();
-                result.violations.push(Violation {
-                    lung,
-                    breath: breath.number,
-                    value: finding.value,
-                    allowed,
-                });
-            }
-        }
-        result
-    };
+    let one =
+        |(kind, limit): (Kind, Band)| checked(kind, limit, breaths, |breath| limits.allowed(kind, breath));
     limits.declared().map(one).collect()
+}
+
+/// Checks each tolerance of the sore spots on each breath.
+pub(super) fn tolerated(breaths: &[Breath]) -> Vec<LimitResult> {
+    let one = |kind: Kind| Some(checked(kind, kind.tolerated()?, breaths, |breath| kind.tolerates(breath)));
+    Kind::ALL.into_iter().filter_map(one).collect()
+}
+
+/// Checks one limit. A breath without the figure, or in which nothing is asked of it, counts as unknown.
+fn checked(
+    kind: Kind,
+    limit: Band,
+    breaths: &[Breath],
+    allowed: impl Fn(&Breath) -> Option<f64>,
+) -> LimitResult {
+    let mut result = LimitResult { kind, limit, checked: 0, unknown: 0, violations: Vec::new() };
+    for breath in breaths {
+        let (Some(finding), Some(allowed)) = (kind.finding(breath), allowed(breath)) else {
+            result.unknown += 1;
+            continue;
+        };
+        result.checked += 1;
+        let kept = !finding.beyond && finding.value <= allowed;
+        if !kept {
+            let (lung, value) = (breath.lung_name(), finding.value);
+            result.violations.push(Violation { lung, breath: breath.number, value, allowed });
+        }
+    }
+    result
 }

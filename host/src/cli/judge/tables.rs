@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::command::Context;
 use show::report::{Cell, Table};
-use verdict::{Judged, LimitResult, LungReport, Mean, PhaseAccuracy, USUAL, Verdict};
+use verdict::{Judged, LimitResult, LungReport, Mean, PhaseAccuracy, Target, USUAL, Verdict};
 
 /// Prints a verdict with at most `worst` sore spots.
 pub fn print(context: &Context<'_>, file: &str, verdict: &Verdict, worst: usize) {
@@ -32,12 +32,12 @@ fn head(file: &str, verdict: &Verdict) -> String {
             verdict.noise
         ),
     ];
-    if !verdict.set_point {
-        lines.push(
-            "No set-points: errors and accuracy are unknown; all else refers to the measured plateau."
-                .to_owned(),
-        );
-    }
+    lines.push(match verdict.target {
+        Target::AsSet => "Target: as set".to_owned(),
+        Target::Inferred => {
+            "Target: inferred, the measured plateau; errors and accuracy are unknown".to_owned()
+        }
+    });
     if verdict.explored > 0.0 {
         lines.push(format!(
             "{:.0} % of the inspiratory ticks were perturbed to explore: the figures are not the controller's own.",
@@ -141,14 +141,19 @@ fn limits(verdict: &Verdict) -> Vec<String> {
         };
         let worst =
             result.violations.iter().max_by(|a, b| (a.value - a.allowed).total_cmp(&(b.value - b.allowed)));
-        let unknown = match result.unknown {
+        // A breath without the figure keeps no limit, and neither does one that cannot be judged at all.
+        let all = verdict.breaths.len() + verdict.unjudged.len();
+        let unknown = match all - result.checked {
             0 => String::new(),
-            unknown => format!(", unknown in {unknown}"),
+            unknown => format!(", unknown in {unknown} of {all}"),
         };
         match worst {
-            None => format!("Limit on {name}, {limit}: kept by {} breaths{unknown}", result.checked),
+            None if result.checked == all => format!("Limit on {name}, {limit}: kept in all {all} breaths"),
+            None => {
+                format!("Limit on {name}, {limit}: kept in the {} breaths judged{unknown}", result.checked)
+            }
             Some(worst) => format!(
-                "Limit on {name}, {limit}: VIOLATED by {} of {} breaths{unknown}; worst {:.2} in breath {} of {}",
+                "Limit on {name}, {limit}: VIOLATED in {} of {} breaths judged{unknown}; worst {:.2} in breath {} of {}",
                 result.violations.len(),
                 result.checked,
                 worst.value,

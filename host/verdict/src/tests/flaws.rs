@@ -231,12 +231,12 @@ fn without_set_points_nothing_is_said_about_errors() {
     recording.provenance.notes.push(NO_SET_POINT.to_owned());
     let verdict = judge(&recording, Judged::True, &Limits::default()).unwrap();
     let figures = &verdict.breaths[0].figures;
-    assert!(!verdict.set_point);
+    assert_eq!(verdict.target, Target::Inferred);
     // As an earlier revision said it.
     let mut earlier = Build::default().recording();
     let note = "no set-point in the tables: target and PIP are the measured plateau, PEEP the first pressure";
     earlier.provenance.notes.push(note.to_owned());
-    assert!(!judge(&earlier, Judged::True, &Limits::default()).unwrap().set_point);
+    assert_eq!(judge(&earlier, Judged::True, &Limits::default()).unwrap().target, Target::Inferred);
     assert_eq!((figures.error, figures.plateau_error, figures.below_peep), (None, None, None));
     assert_eq!((verdict.accuracy_inspiration, verdict.accuracy_expiration), (None, None));
     close(figures.rise_ms, 80.0, 1e-3);

@@ -3,6 +3,7 @@
 mod figures;
 mod flaws;
 mod measured;
+mod targets;
 mod verdicts;
 
 use super::*;
