@@ -10,6 +10,7 @@
 #![forbid(unsafe_code)]
 
 mod accuracy;
+mod asynchrony;
 mod breath;
 mod curve;
 mod figures;
@@ -32,6 +33,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 pub use self::accuracy::{Band, NoBand, PhaseAccuracy, USUAL, tightest};
+pub use self::asynchrony::{Asynchronies, Asynchrony, AsynchronyCount};
 use self::breath::lung_name;
 pub use self::breath::{Breath, Unjudged};
 use self::curve::BreathCurve;
@@ -129,6 +131,8 @@ pub struct Verdict {
     pub sore_spots: Vec<SoreSpot>,
     /// Results of the declared limits.
     pub limits: Vec<LimitResult>,
+    /// Asynchronies between patient and ventilator; `None` without flow.
+    pub asynchronies: Option<Asynchronies>,
     /// All judged breaths, in the order of the recording.
     pub breaths: Vec<Breath>,
     /// The breaths that cannot be judged.
@@ -199,6 +203,7 @@ pub fn judge(recording: &Recording, judged: Judged, limits: &Limits) -> Result<V
         lungs: lung_report::lung_reports(&breaths, &unjudged),
         sore_spots: sore_spots::sore_spots(limits, &breaths),
         limits: results,
+        asynchronies: context.asynchronies(),
         breaths,
         unjudged,
     })
@@ -274,6 +279,17 @@ impl RecordingContext<'_> {
             (None, Some(first)) => Err(VerdictError::NoneJudged { breaths: all.len(), reason: first.reason }),
             _ => Ok((breaths, unjudged)),
         }
+    }
+
+    /// The asynchronies of all breaths that have curves.
+    fn asynchronies(&self) -> Option<Asynchronies> {
+        let all = self.recording.breaths();
+        let curves: Vec<_> = all
+            .iter()
+            .map(|rows| BreathCurve::new(self.recording, self.pressure, rows.clone()).ok())
+            .collect();
+        let breaths = all.iter().cloned().zip(curves.iter().map(Option::as_ref));
+        asynchrony::asynchronies(self.recording, breaths, self.noise)
     }
 
     fn lung_key(&self, rows: &Range<usize>) -> LungKey {

@@ -4,14 +4,17 @@ use std::collections::BTreeMap;
 
 use crate::command::Context;
 use show::report::{Cell, Table};
-use verdict::{Judged, LimitResult, LungReport, Mean, PhaseAccuracy, Target, USUAL, Verdict};
+use verdict::{
+    AsynchronyCount, Judged, LimitResult, LungReport, Mean, PhaseAccuracy, Target, USUAL, Verdict,
+};
 
 /// Prints a verdict with at most `worst` sore spots.
 pub fn print(context: &Context<'_>, file: &str, verdict: &Verdict, worst: usize) {
     context.line(&head(file, verdict));
     context.table(&report(verdict));
     context.table(&figures(verdict));
-    for line in accuracy(verdict).into_iter().chain(limits(verdict)).chain(sore_spots(verdict, worst)) {
+    let lines = accuracy(verdict).into_iter().chain(limits(verdict)).chain(sore_spots(verdict, worst));
+    for line in lines.chain([asynchronies(verdict)]) {
         context.line(&line);
     }
 }
@@ -177,4 +180,32 @@ fn sore_spots(verdict: &Verdict, worst: usize) -> Vec<String> {
     let more = (more > 0).then(|| format!("     and {more} more (--worst)"));
     let title = "Sore spots, the most severe first".to_owned();
     vec![std::iter::once(title).chain(lines).chain(more).collect::<Vec<_>>().join("\n") + "\n"]
+}
+
+/// Most breaths that are listed for one asynchrony.
+const LISTED: usize = 12;
+
+fn asynchronies(verdict: &Verdict) -> String {
+    let Some(found) = &verdict.asynchronies else {
+        return "Asynchronies: unknown without flow\n".to_owned();
+    };
+    let one = |count: &AsynchronyCount| {
+        let listed =
+            count.breaths.iter().take(LISTED).map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        let more = if count.breaths.len() > LISTED { ", ..." } else { "" };
+        let (name, events, share) = (count.kind.name(), count.events, 100.0 * count.share);
+        format!("  {name}: {events} ({share:.1} per 100 breaths), in breath {listed}{more}")
+    };
+    let kinds: Vec<String> = found.kinds.iter().filter(|count| count.events > 0).map(one).collect();
+    let unchecked = match found.unchecked {
+        0 => String::new(),
+        unchecked => format!(", {unchecked} not checked"),
+    };
+    let head = match kinds.is_empty() {
+        true => format!("Asynchronies: none in {} breaths{unchecked}", found.checked),
+        false => {
+            format!("Asynchronies in {} breaths{unchecked}: {:.1} %", found.checked, found.index_percent)
+        }
+    };
+    std::iter::once(head).chain(kinds).collect::<Vec<_>>().join("\n") + "\n"
 }

@@ -1,8 +1,11 @@
 //! Curves with known figures, and recordings with every flaw that a third party's can have.
 
+mod asynchronies;
+mod bench;
 mod figures;
 mod flaws;
 mod measured;
+mod patient;
 mod targets;
 mod verdicts;
 
