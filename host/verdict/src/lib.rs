@@ -10,6 +10,7 @@
 #![forbid(unsafe_code)]
 
 mod accuracy;
+mod advice;
 mod asynchrony;
 mod breath;
 mod curve;
@@ -19,6 +20,7 @@ pub mod identify;
 mod limits;
 mod lung_report;
 mod ramp;
+mod response;
 mod settled;
 mod sore_spots;
 mod swings;
@@ -33,6 +35,8 @@ use serde::Serialize;
 use thiserror::Error;
 
 pub use self::accuracy::{Band, NoBand, PhaseAccuracy, USUAL, tightest};
+use self::advice::Adviser;
+pub use self::advice::{Advice, Cause};
 pub use self::asynchrony::{Asynchronies, Asynchrony, AsynchronyCount};
 use self::breath::lung_name;
 pub use self::breath::{Breath, Unjudged};
@@ -201,7 +205,11 @@ pub fn judge(recording: &Recording, judged: Judged, limits: &Limits) -> Result<V
             Some((breath.peep, (breath.figures.end_expiration? - breath.peep).abs()))
         }),
         lungs: lung_report::lung_reports(&breaths, &unjudged),
-        sore_spots: sore_spots::sore_spots(limits, &breaths),
+        sore_spots: sore_spots::sore_spots(
+            limits,
+            &breaths,
+            &Adviser { recording, pressure, noise: context.noise },
+        ),
         limits: results,
         asynchronies: context.asynchronies(),
         breaths,

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::Breath;
 use super::accuracy::Tenths;
+use super::advice::{Advice, Adviser};
 use super::limits::{Kind, Limits};
 
 /// One kind of trouble on one lung.
@@ -29,18 +30,27 @@ pub struct SoreSpot {
     pub what: String,
     /// What is wrong, and where.
     pub text: String,
+    /// Its likely cause, if the figures show one.
+    pub advice: Option<Advice>,
     /// Index of the worst breath among the judged ones.
     #[serde(skip)]
     pub worst: usize,
 }
 
 /// Finds the sore spots of all breaths.
-pub(super) fn sore_spots(limits: &Limits, breaths: &[Breath]) -> Vec<SoreSpot> {
+pub(super) fn sore_spots(limits: &Limits, breaths: &[Breath], adviser: &Adviser<'_>) -> Vec<SoreSpot> {
     let mut spots = Vec::new();
     let mut order: Vec<usize> = (0..breaths.len()).collect();
     order.sort_by_key(|index| (breaths[*index].lung_index, *index));
     for lung in order.chunk_by(|a, b| breaths[*a].lung_index == breaths[*b].lung_index) {
-        spots.extend(Kind::ALL.into_iter().filter_map(|kind| sore_spot(kind, limits, breaths, lung)));
+        let all: Vec<&Breath> = lung.iter().map(|index| &breaths[*index]).collect();
+        let advised = |spot: SoreSpot| {
+            let advice = adviser.advice(spot.kind, &breaths[spot.worst], &all);
+            SoreSpot { advice, ..spot }
+        };
+        spots.extend(
+            Kind::ALL.into_iter().filter_map(|kind| sore_spot(kind, limits, breaths, lung).map(advised)),
+        );
     }
     // A stable sort: equal severities stay in the order of the recording.
     spots.sort_by(|a, b| b.severity.total_cmp(&a.severity));
@@ -75,6 +85,7 @@ fn sore_spot(kind: Kind, limits: &Limits, breaths: &[Breath], lung: &[usize]) ->
         text: format!("{lung_name}, breath {}: {what} ({others})", breath.number),
         lung: lung_name,
         what,
+        advice: None,
         worst: index,
     })
 }

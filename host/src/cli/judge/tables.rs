@@ -175,7 +175,11 @@ fn sore_spots(verdict: &Verdict, worst: usize) -> Vec<String> {
         return vec!["No sore spots\n".to_owned()];
     }
     let shown = spots.iter().take(worst).enumerate();
-    let lines = shown.map(|(n, spot)| format!("{:>3}. {}", n + 1, spot.text));
+    let lines = shown.map(|(n, spot)| {
+        let advice =
+            spot.advice.as_ref().map_or_else(String::new, |advice| format!("\n     {}", advice.text));
+        format!("{:>3}. {}{advice}", n + 1, spot.text)
+    });
     let more = spots.len().saturating_sub(worst);
     let more = (more > 0).then(|| format!("     and {more} more (--worst)"));
     let title = "Sore spots, the most severe first".to_owned();

@@ -1,5 +1,6 @@
 //! Curves with known figures, and recordings with every flaw that a third party's can have.
 
+mod advices;
 mod asynchronies;
 mod bench;
 mod figures;
