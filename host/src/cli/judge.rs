@@ -24,9 +24,10 @@ Examples:
 
 Prints the fields of a pressure-control test report and the mean figures for each lung and pair of
 settings, the accuracy at the end of inspiration and expiration as ±(A cmH2O + B %), and the sore
-spots: for each lung the worst breath of each kind of trouble, the most severe first. Figures of
-each breath are in the JSON. docs/JUDGE.md defines them, and says what happens with missing ticks,
-missing flows, missing set-points and breaths that are cut short.
+spots: for each lung the worst breath of each kind of trouble, the most severe first, with its
+likely cause where figures show one. With flow, asynchronies of patient and ventilator follow.
+Figures of each breath are in the JSON. docs/JUDGE.md defines them, and says what happens with
+missing ticks, missing flows, missing set-points and breaths that are cut short.
 
 Exit status: 0 if every declared limit is kept (or none is declared), 1 if a file cannot be judged,
 2 for wrong arguments, 3 if a breath violates a declared limit.")]

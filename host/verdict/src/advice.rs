@@ -97,7 +97,9 @@ impl Adviser<'_> {
         onsets.sort_by(f64::total_cmp);
         let delay_s = *onsets.get(onsets.len() / 2)?;
         let delays = period_s / delay_s;
-        if !(PERIOD.0..=PERIOD.1).contains(&delays) {
+        // A coarse recording does not tell whether the delay is long.
+        let undecided = (delay_s - LATE_S).abs() < self.recording.provenance.period_s();
+        if undecided || !(PERIOD.0..=PERIOD.1).contains(&delays) {
             return None;
         }
         let (period, delay) = (1e3 * period_s, 1e3 * delay_s);

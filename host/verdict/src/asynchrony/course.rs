@@ -8,6 +8,8 @@ use data::recording::quality::noise;
 
 /// Time over which noise is averaged out, s: short beside an effort, long beside a converter's steps.
 const SMOOTHED_S: f64 = 0.05;
+/// Highest outflow as a share of the highest inflow, up to which the outflow was not measured.
+const ONE_WAY: f64 = 0.02;
 const ML_PER_L: f64 = 1e3;
 
 /// Standard deviations of the noise: pressure, cmH2O, and flow, L/s.
@@ -43,7 +45,7 @@ pub(super) struct Course {
 }
 
 impl Course {
-    /// The breath in these rows; `None` if rows or flows are missing.
+    /// The breath in these rows; `None` if rows or flows are missing, or the flow of one direction was not recorded.
     pub fn new(recording: &Recording, rows: Range<usize>, curve: &BreathCurve, flow: &[f64]) -> Option<Self> {
         let rest = curve.rest.iter().map(|(_, pressure)| *pressure);
         let pressure: Vec<f64> = curve.pressure.iter().copied().chain(rest).collect();
@@ -51,7 +53,9 @@ impl Course {
         let flow = &flow[rows.clone()];
         let known = even && flow.iter().all(|flow| flow.is_finite());
         let highest = curve.target.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        known.then(|| Self {
+        let extreme = |sign: f64| flow.iter().map(|flow| sign * flow).fold(0.0, f64::max);
+        let both = extreme(-1.0) > ONE_WAY * extreme(1.0);
+        (known && both).then(|| Self {
             number: recording.breath[rows.start],
             group: recording.group.as_ref().map(|groups| groups[rows.start]),
             period_s: curve.period_s,

@@ -12,7 +12,7 @@ const MISSED_PRESSURE: f64 = 0.45;
 /// Sum of both, each in its unit: a lung behind a closed valve shows an effort in the pressure, one that empties in the flow.
 const BOTH: f64 = 2.0;
 /// Least share of each.
-const LEAST: f64 = 0.15;
+const LEAST: f64 = 0.4;
 /// Time after the inspiration in which the expiratory valve opens and gas sloshes, s.
 const OPENING_S: f64 = 0.25;
 /// Time before and after the highest flow of an effort in which the pressure is lowest, s; and in which it recovers.

@@ -8,9 +8,11 @@
 mod course;
 mod effort;
 
+use std::ops::Range;
+
 use serde::Serialize;
 
-use self::course::Course;
+use self::course::{Course, Noise};
 use crate::curve::BreathCurve;
 use data::recording::Recording;
 
@@ -71,7 +73,7 @@ pub struct AsynchronyCount {
 /// Asynchronies of a recording with flow.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Asynchronies {
-    /// Number of breaths that were checked: whole ones without missing rows.
+    /// Number of breaths that were checked: whole ones without missing rows, with flow in both directions.
     pub checked: usize,
     /// Number of breaths that were not.
     pub unchecked: usize,
@@ -81,22 +83,22 @@ pub struct Asynchronies {
     pub kinds: Vec<AsynchronyCount>,
 }
 
-/// Finds the asynchronies of a recording whose judged breaths have these curves; `noise` is the pressure's, cmH2O (sd).
-/// `None` without flow.
+/// Finds the asynchronies of a recording whose breaths have these rows and, if they can be judged, curves; `noise` is the
+/// pressure's, cmH2O (sd). `None` without flow.
 pub(super) fn asynchronies<'a>(
     recording: &Recording,
-    breaths: impl Iterator<Item = (std::ops::Range<usize>, Option<&'a BreathCurve>)>,
+    breaths: impl Iterator<Item = (Range<usize>, Option<&'a BreathCurve>)>,
     noise: f64,
 ) -> Option<Asynchronies> {
     let flow = course::net_flow(recording)?;
-    let noise = course::Noise { pressure: noise, flow: course::noise_of(&flow) };
+    let noise = Noise { pressure: noise, flow: course::noise_of(&flow) };
     let courses: Vec<Option<Course>> =
         breaths.map(|(rows, curve)| Course::new(recording, rows, curve?, &flow)).collect();
-    let checked = courses.iter().flatten().count();
-    let found: Vec<(u32, Asynchrony)> = (0..courses.len())
-        .flat_map(|n| of_breath(&courses, n, noise).into_iter().map(move |kind| (n, kind)))
-        .map(|(n, kind)| (courses[n].as_ref().map_or(0, |course| course.number), kind))
-        .collect();
+    let inspirations: Vec<f64> = courses.iter().flatten().map(Course::inspiration_s).collect();
+    let checked = inspirations.len();
+    let mean_inspiration_s = inspirations.iter().sum::<f64>() / checked.max(1) as f64;
+    let series = Series { courses: &courses, noise, mean_inspiration_s };
+    let found: Vec<(u32, Asynchrony)> = (0..courses.len()).flat_map(|n| series.of_breath(n)).collect();
     let kinds: Vec<_> = Asynchrony::ALL.into_iter().map(|kind| count(kind, &found, checked)).collect();
     let cycles = checked + kinds[Asynchrony::MissedEffort as usize].events;
     (checked > 0).then(|| Asynchronies {
@@ -114,46 +116,53 @@ fn count(kind: Asynchrony, found: &[(u32, Asynchrony)], checked: usize) -> Async
     AsynchronyCount { kind, events, share: events as f64 / checked.max(1) as f64, breaths }
 }
 
-/// The asynchronies of one breath.
-fn of_breath(courses: &[Option<Course>], n: usize, noise: course::Noise) -> Vec<Asynchrony> {
-    let Some(course) = &courses[n] else { return Vec::new() };
-    let missed = effort::missed(course, noise);
-    let mut found = vec![Asynchrony::MissedEffort; missed];
-    if effort::exhales_in_inspiration(course, noise) {
-        found.push(Asynchrony::DelayedCycling);
-    }
-    if let Some(before) = beside(courses, n, n.wrapping_sub(1)) {
-        if is_double(courses, n, before) {
-            found.push(Asynchrony::DoubleTrigger);
-        } else if is_early(courses, n, EARLY)
-            && effort::missed(before, noise) == 0
-            && effort::starts_without(before, noise)
-        {
-            found.push(Asynchrony::AutoTrigger);
+/// The breaths of a recording, one after the other.
+struct Series<'a> {
+    courses: &'a [Option<Course>],
+    noise: Noise,
+    mean_inspiration_s: f64,
+}
+
+impl Series<'_> {
+    /// The asynchronies of breath `n`, with its number.
+    fn of_breath(&self, n: usize) -> Vec<(u32, Asynchrony)> {
+        let Some(course) = &self.courses[n] else { return Vec::new() };
+        let mut found = vec![Asynchrony::MissedEffort; effort::missed(course, self.noise)];
+        if effort::exhales_in_inspiration(course, self.noise) {
+            found.push(Asynchrony::DelayedCycling);
         }
+        if let Some(before) = self.beside(n, n.wrapping_sub(1)) {
+            if self.is_double(n, before) {
+                found.push(Asynchrony::DoubleTrigger);
+            } else if self.is_early(n, EARLY)
+                && effort::missed(before, self.noise) == 0
+                && effort::starts_without(before, self.noise)
+            {
+                found.push(Asynchrony::AutoTrigger);
+            }
+        }
+        found.into_iter().map(|kind| (course.number, kind)).collect()
     }
-    found
-}
 
-/// Whether the breath follows an expiration that is far too short for the breath before.
-fn is_double(courses: &[Option<Course>], n: usize, before: &Course) -> bool {
-    let inspirations: Vec<f64> = courses.iter().flatten().map(Course::inspiration_s).collect();
-    let mean = inspirations.iter().sum::<f64>() / inspirations.len() as f64;
-    let stacks = before.expired_ml() < STACKED * before.inspired_ml();
-    let longest = if stacks { 1.0 } else { DOUBLE };
-    before.expiration_s() < longest * mean && is_early(courses, n, SHORT)
-}
+    /// Whether breath `n` follows an expiration that is far too short for the breath before.
+    fn is_double(&self, n: usize, before: &Course) -> bool {
+        let stacks = before.expired_ml() < STACKED * before.inspired_ml();
+        let longest = if stacks { 1.0 } else { DOUBLE };
+        before.expiration_s() < longest * self.mean_inspiration_s && self.is_early(n, SHORT)
+    }
 
-/// Whether the expiration before breath `n` is at most this share of one of those before it and of one of those after it.
-fn is_early(courses: &[Option<Course>], n: usize, share: f64) -> bool {
-    let expiration = |other: usize| beside(courses, n, other).map(Course::expiration_s);
-    let Some(own) = expiration(n - 1) else { return false };
-    let longer = |other: usize| expiration(other).is_some_and(|other| own <= share * other);
-    (1..=AROUND).any(|by| longer((n - 1).wrapping_sub(by))) && (1..=AROUND).any(|by| longer(n - 1 + by))
-}
+    /// Whether the expiration before breath `n` is at most this share of one of those before it and of one of those after
+    /// it.
+    fn is_early(&self, n: usize, share: f64) -> bool {
+        let expiration = |other: usize| self.beside(n, other).map(Course::expiration_s);
+        let Some(own) = expiration(n - 1) else { return false };
+        let longer = |other: usize| expiration(other).is_some_and(|other| own <= share * other);
+        (1..=AROUND).any(|by| longer((n - 1).wrapping_sub(by))) && (1..=AROUND).any(|by| longer(n - 1 + by))
+    }
 
-/// Another breath of the same test run as breath `n`.
-fn beside(courses: &[Option<Course>], n: usize, other: usize) -> Option<&Course> {
-    let other = courses.get(other)?.as_ref()?;
-    (courses[n].as_ref()?.group == other.group).then_some(other)
+    /// Another breath of the same test run as breath `n`.
+    fn beside(&self, n: usize, other: usize) -> Option<&Course> {
+        let other = self.courses.get(other)?.as_ref()?;
+        (self.courses[n].as_ref()?.group == other.group).then_some(other)
+    }
 }

@@ -267,13 +267,23 @@ fn passive_benches_have_none() {
 fn measured_passive_lungs_have_none() {
     let Some(tables) = measured() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let found = found(&measured_recording(&tables, folder.path()));
-    println!("{} checked, {} not", found.checked, found.unchecked);
-    assert_eq!(found.index_percent, 0.0, "{found:?}");
-    assert!(found.checked > 150, "{}", found.checked);
+    let mut checked = 0;
+    // Each table has noise of its own, and with it thresholds of its own.
+    for tables in tables.iter().map(std::slice::from_ref).chain([&tables[..]]) {
+        let found = found(&measured_recording(tables, folder.path()));
+        assert_eq!(found.index_percent, 0.0, "{tables:?} {found:?}");
+        checked += found.checked;
+    }
+    assert!(checked > 300, "{checked}");
 }
 
 #[test]
-fn without_flow_asynchronies_are_unknown() {
+fn without_flow_in_both_directions_asynchronies_are_unknown() {
     assert_eq!(Build::default().verdict().asynchronies, None);
+    let edit = |t: f64, row: &mut Row| {
+        (row.flow_in, row.flow_out) = (Some(if t < 1.0 { 0.5 } else { 0.0 }), Some(0.0));
+        true
+    };
+    let extras = &[Extra::FlowIn, Extra::FlowOut];
+    assert_eq!(Build { extras, edit: &edit, ..Build::default() }.verdict().asynchronies, None);
 }
