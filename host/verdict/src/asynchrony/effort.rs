@@ -13,6 +13,8 @@ const MISSED_PRESSURE: f64 = 0.45;
 const BOTH: f64 = 2.0;
 /// Least share of each.
 const LEAST: f64 = 0.4;
+/// Least fall back as a share of the flow at the peak: a strong flow is not steady.
+const UNSTEADY: f64 = 0.15;
 /// Time after the inspiration in which the expiratory valve opens and gas sloshes, s.
 const OPENING_S: f64 = 0.25;
 /// Time before and after the highest flow of an effort in which the pressure is lowest, s; and in which it recovers.
@@ -62,7 +64,8 @@ pub(super) fn missed(course: &Course, noise: Noise) -> usize {
         let peak = from + peak;
         let (back, (lowest, recovered)) = (falls_back(course, peak), recovered(course, peak));
         let draws = falls(course, peak, flow) >= FALLS * dip || leaves_lines(course, lowest, bump, dip);
-        recovered >= dip && draws && back / flow + recovered / pressure >= BOTH
+        let still = back < UNSTEADY * course.flow[peak].abs();
+        recovered >= dip && draws && !still && back / flow + recovered / pressure >= BOTH
     };
     peaks(&course.flow[from..to], bump).iter().filter(|peak| effort(peak)).count()
 }
