@@ -65,10 +65,9 @@ fn the_exit_status_tells_a_violation_from_a_file_that_cannot_be_judged() {
     let violated = place.run("judge table.csv --map map.toml --overshoot 2");
     assert_eq!(violated.status.code(), Some(3), "{}", text(&violated.stderr));
     assert_eq!(text(&violated.stderr), "error: 1 of 7 judged breaths violate a declared limit\n");
-    assert!(
-        text(&violated.stdout)
-            .contains("VIOLATED in 1 of 7 breaths judged; worst 6.00 in breath 6 of A:1 (R20 C20)")
-    );
+    assert!(text(&violated.stdout).contains(
+        "VIOLATED in 1 of 7 breaths judged, unknown in 1 of 8; worst 6.00 in breath 6 of A:1 (R20 C20)"
+    ));
     place.ok("judge table.csv --map map.toml --overshoot 6.01");
     assert!(place.refused("judge table.csv").contains("--map"));
     assert!(place.refused("judge absent.csv --map map.toml").contains("absent.csv"));
