@@ -114,13 +114,13 @@ impl Adviser<'_> {
 
     /// The valve's play, if commands as small as a few plays keep the pressure swinging.
     fn play(&self, worst: &Breath, lung: &[&Breath]) -> Option<Advice> {
-        let late = self.inspiration(worst);
-        let commands = &self.recording.u_in[late.start + late.len() / 2..late.end];
+        let rows = self.inspiration(worst);
+        let commands = &self.recording.u_in[rows.start + rows.len() / 2..rows.end];
         let most = commands.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let movement = f64::from(most - commands.iter().copied().fold(f32::INFINITY, f32::min));
         let all: Vec<Inspiration> = lung.iter().map(|breath| self.curves(breath)).collect();
         let response = Response::fit(&all, self.recording.provenance.period_s())?;
-        let Response { play_percent, with_play, .. } = response;
+        let Response { play_percent, with_play } = response;
         let shows =
             play_percent >= PLAY_PERCENT && with_play <= WITH_PLAY && movement <= MOVEMENT * play_percent;
         shows.then(|| Advice {

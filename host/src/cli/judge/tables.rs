@@ -205,11 +205,10 @@ fn asynchronies(verdict: &Verdict) -> String {
         0 => String::new(),
         unchecked => format!(", {unchecked} not checked"),
     };
-    let head = match kinds.is_empty() {
-        true => format!("Asynchronies: none in {} breaths{unchecked}", found.checked),
-        false => {
-            format!("Asynchronies in {} breaths{unchecked}: {:.1} %", found.checked, found.index_percent)
-        }
+    let head = if kinds.is_empty() {
+        format!("Asynchronies: none in {} breaths{unchecked}", found.checked)
+    } else {
+        format!("Asynchronies in {} breaths{unchecked}: {:.1} %", found.checked, found.index_percent)
     };
     std::iter::once(head).chain(kinds).collect::<Vec<_>>().join("\n") + "\n"
 }

@@ -60,7 +60,7 @@ fn clocked(case: &Case) -> Vec<f64> {
 #[test]
 fn passive_lungs_have_none() {
     let script = |case: &Case, _: &mut ChaCha8Rng| Script { starts: clocked(case), ..Script::default() };
-    assert_eq!(rates(Asynchrony::MissedEffort, script).1, 0.0);
+    assert!(rates(Asynchrony::MissedEffort, script).1 <= 0.0);
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn a_change_of_the_rate_is_none() {
         let starts = (0..BREATHS).map(&mut next).collect();
         Script { starts, ..Script::default() }
     };
-    assert_eq!(rates(Asynchrony::AutoTrigger, script).1, 0.0);
+    assert!(rates(Asynchrony::AutoTrigger, script).1 <= 0.0);
 }
 
 #[test]
@@ -221,10 +221,8 @@ fn within_expirations(recording: &Recording, interval_s: f64, duration_s: f64) -
             from_s >= at(expires) && to_s <= at(rows.end)
         })
     };
-    let efforts: Vec<f64> = (0..)
-        .map(|n| f64::from(n) * interval_s)
-        .take_while(|at| *at < recording.len() as f64 * 1e-3)
-        .collect();
+    let count = (at(recording.len()) / interval_s).ceil() as u32;
+    let efforts: Vec<f64> = (0..count).map(|n| f64::from(n) * interval_s).collect();
     let count = |within: &dyn Fn(f64) -> bool| efforts.iter().filter(|effort| within(**effort)).count();
     let peak = |effort: f64| within(effort + 0.5 * duration_s, effort + 0.5 * duration_s);
     [count(&|effort| within(effort - 0.25, effort + duration_s + 0.1)), count(&peak)]
@@ -271,7 +269,7 @@ fn measured_passive_lungs_have_none() {
     // Each table has noise of its own, and with it thresholds of its own.
     for tables in tables.iter().map(std::slice::from_ref).chain([&tables[..]]) {
         let found = found(&measured_recording(tables, folder.path()));
-        assert_eq!(found.index_percent, 0.0, "{tables:?} {found:?}");
+        assert!(found.index_percent <= 0.0, "{tables:?} {found:?}");
         checked += found.checked;
     }
     assert!(checked > 300, "{checked}");
