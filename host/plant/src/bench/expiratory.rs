@@ -1,12 +1,14 @@
-//! Expiratory on/off valve with a mechanical PEEP valve behind it.
+//! Expiratory valve: on/off, with a mechanical PEEP valve behind it, or proportional, which holds PEEP by closing partly.
 
 use super::branch::{Branch, parabolic_conductance};
 use super::config::ExpiratoryConfig;
 use super::lag::Lag;
 
-/// The two valves and their state.
+/// The valves and their state.
 #[derive(Clone, Debug)]
 pub(super) struct Expiratory {
+    /// Pressure below PEEP at which a proportional valve has closed, cmH2O.
+    band: Option<f64>,
     opening: Lag,
     linear: f64,
     quadratic: f64,
@@ -28,6 +30,7 @@ impl Expiratory {
         let linear = config.laminar_resistance_cmh2o_per_l_s;
         let quadratic = config.orifice_l_per_s_per_sqrt_cmh2o.powi(-2);
         Self {
+            band: config.peep_band_cmh2o,
             opening: Lag::new(config.lag_ms * 1e-3, sub_step_s, 1.0),
             linear,
             quadratic,
@@ -68,20 +71,26 @@ impl Expiratory {
         (self.peep, self.held, self.shut) = (self.setting, false, false);
     }
 
-    /// Moves the valve by one sub-step towards open (`u_out`) or closed.
-    pub(super) fn advance(&mut self, u_out: bool) {
-        self.opening.advance(if u_out && !self.shut { 1.0 } else { 0.0 });
+    /// Moves the valve by one sub-step towards open (`u_out`) or closed; a proportional one closes as the `pressure` falls below PEEP.
+    pub(super) fn advance(&mut self, u_out: bool, pressure: f64) {
+        let open = match self.band {
+            None => 1.0,
+            Some(band) => (1.0 + (pressure - self.peep) / band).clamp(0.0, 1.0),
+        };
+        self.opening.advance(if u_out && !self.shut { open } else { 0.0 });
     }
 
-    /// The valves as a branch towards PEEP while the airway is at `pressure`; closed below PEEP.
+    /// The valves as a branch while the airway is at `pressure`: towards PEEP, closed below it; that of a proportional valve leads to
+    /// the room.
     pub(super) fn branch(&self, pressure: f64) -> Branch {
-        let above = pressure - self.peep;
+        let source = if self.band.is_some() { 0.0 } else { self.peep };
+        let above = pressure - source;
         let conductance = if above > 0.0 {
             self.opening.output() * parabolic_conductance(self.linear, self.quadratic, above)
         } else {
             0.0
         };
-        Branch { conductance, source: self.peep }
+        Branch { conductance, source }
     }
 
     /// Share of the full opening, 0 to 1.
@@ -145,13 +154,42 @@ mod tests {
         let mut valve = open();
         let open_flow = outflow(&valve, 20.0);
         for _ in 0..60 {
-            valve.advance(false);
+            valve.advance(false, 20.0);
         }
         let after_one_lag = (-1.0_f64).exp();
         assert!((outflow(&valve, 20.0) / open_flow - after_one_lag).abs() < 1e-9);
         for _ in 0..60 {
-            valve.advance(true);
+            valve.advance(true, 20.0);
         }
         assert!((valve.opening() - (1.0 - after_one_lag * (1.0 - after_one_lag))).abs() < 1e-9);
+    }
+
+    /// A proportional valve that closes over 2 cmH2O below PEEP.
+    fn proportional() -> Expiratory {
+        let config = ExpiratoryConfig { peep_band_cmh2o: Some(2.0), ..ExpiratoryConfig::default() };
+        Expiratory::new(&config, 5.0, SUB_STEP_S)
+    }
+
+    #[test]
+    fn a_proportional_valve_closes_below_peep_in_proportion() {
+        for (pressure, expected) in [(20.0, 1.0), (5.0, 1.0), (4.0, 0.5), (3.0, 0.0), (-9.0, 0.0)] {
+            let mut valve = proportional();
+            for _ in 0..4_000 {
+                valve.advance(true, pressure);
+            }
+            assert!((valve.opening() - expected).abs() < 1e-9, "{pressure}: {}", valve.opening());
+        }
+        let mut valve = proportional();
+        for _ in 0..4_000 {
+            valve.advance(false, 30.0);
+        }
+        assert!(valve.opening() < 1e-9, "closed in inspiration");
+    }
+
+    #[test]
+    fn a_proportional_valve_leads_to_the_room_and_only_there() {
+        let valve = proportional();
+        assert!(outflow(&valve, 4.0) > 0.1, "its lag lets the pressure fall below PEEP");
+        assert!(outflow(&valve, 0.0).abs() < 1e-12 && outflow(&valve, -3.0).abs() < 1e-12);
     }
 }

@@ -35,6 +35,7 @@
 //! backlash, dead zone, a curved valve characteristic, sensor noise and unit differences are on by default.
 
 mod bench_plant;
+mod blower;
 mod branch;
 mod circuit;
 mod config;
@@ -64,15 +65,16 @@ pub use presets::is_neonatal;
 pub use step::{LEAST_SUB_STEPS, STEP_S, STEP_US};
 
 pub use config::{
-    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, Distortion, ExpiratoryConfig, FaultConfig,
-    Faulty, FlowSensorConfig, LeakChange, LungConfig, OutletSensorConfig, PEEP_RANGE_CMH2O, PatientConfig,
-    Repeats, SensorConfig, Signal, Strain, UnitConfig, ValveConfig,
+    BenchConfig, BenchError, BlowerConfig, CircuitConfig, CompartmentConfig, Distortion, ExpiratoryConfig,
+    FaultConfig, Faulty, FlowSensorConfig, LeakChange, LungConfig, OutletSensorConfig, PEEP_RANGE_CMH2O,
+    PatientConfig, Repeats, SensorConfig, Signal, Strain, UnitConfig, ValveConfig,
 };
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use crate::TickTruth;
+use blower::Blower;
 use branch::Junction;
 use circuit::Circuit;
 use expiratory::Expiratory;
@@ -158,6 +160,7 @@ pub struct Bench {
     steps: u64,
     unit: Unit,
     valve: Valve,
+    blower: Option<Blower>,
     expiratory: Expiratory,
     circuit: Circuit,
     lung: Lung,
@@ -200,6 +203,10 @@ impl Bench {
             steps: 0,
             unit,
             valve: Valve::new(&config.valve, dead_time_ms, unit.flow_gain, config.sub_steps, sub_step_s),
+            blower: config
+                .blower
+                .as_ref()
+                .map(|blower| Blower::new(blower, config.valve.supply_pressure_cmh2o, sub_step_s)),
             expiratory: Expiratory::new(&config.expiratory, peep, sub_step_s),
             circuit: Circuit::new(&config.circuit, peep, sub_step_s),
             lung: Lung::new(&config.lung, peep, sub_step_s),
@@ -257,7 +264,7 @@ impl Bench {
         self.flows = Flows::default();
         for sub_step in 0..self.sub_steps {
             self.valve.advance(sub_step);
-            self.expiratory.advance(u_out);
+            self.expiratory.advance(u_out, self.circuit.pressure());
             self.move_gas(muscle_pressure);
             self.sensor.advance(self.circuit.pressure());
         }
@@ -297,7 +304,10 @@ impl Bench {
         let pressure = self.circuit.pressure();
         let mut junction = Junction {
             storage: self.circuit.storage(),
-            valve: self.valve.branch(pressure),
+            valve: match &self.blower {
+                Some(blower) => self.valve.branch_behind(blower, pressure),
+                None => self.valve.branch(pressure),
+            },
             expiratory: self.expiratory.branch(pressure),
             relief: self.circuit.relief(),
             leak: self.circuit.leak(),
@@ -308,6 +318,9 @@ impl Bench {
         let into_lung = junction.lung.map(|compartment| -compartment.flow(pressure));
         self.circuit.set_pressure(pressure);
         self.lung.advance(into_lung);
+        if let Some(blower) = &mut self.blower {
+            blower.advance(junction.valve.flow(pressure));
+        }
         self.flows.valve += junction.valve.flow(pressure);
         self.flows.lung += into_lung[0] + into_lung[1];
         self.flows.expiratory -= junction.expiratory.flow(pressure);

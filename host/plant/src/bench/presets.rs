@@ -69,6 +69,7 @@ impl BenchConfig {
             lag_ms: 10.0,
             orifice_l_per_s_per_sqrt_cmh2o: 0.15,
             laminar_resistance_cmh2o_per_l_s: 2.0,
+            ..self.expiratory
         };
         self.circuit =
             CircuitConfig { compliance_ml_per_cmh2o: 0.5, leak_l_per_s_at_30_cmh2o: 0.002, ..self.circuit };

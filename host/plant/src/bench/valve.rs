@@ -3,7 +3,8 @@
 
 use std::sync::{Arc, LazyLock};
 
-use super::branch::Branch;
+use super::blower::Blower;
+use super::branch::{Branch, parabolic_conductance};
 use super::config::ValveConfig;
 use super::lag::Lag;
 
@@ -11,6 +12,8 @@ use super::lag::Lag;
 const CURVE_INTERVALS: usize = 1024;
 /// Pressure difference to the supply, in cmH2O, below which a straight line replaces the square root of the flow.
 const LEAST_DRIVE_CMH2O: f64 = 1.0;
+/// Resistance at small flow of a valve behind a blower, cmH2O/(L/s): it keeps the slope finite where the pressures are equal.
+const LAMINAR_CMH2O_PER_L_S: f64 = 0.3;
 
 /// Delayed commands, newest last: a ring as long as the dead time.
 #[derive(Clone, Debug)]
@@ -169,6 +172,18 @@ impl Valve {
         let free_flow = self.full_flow_l_s * self.characteristic.share(self.stem);
         let drive = (self.supply - pressure).max(LEAST_DRIVE_CMH2O);
         Branch { conductance: free_flow / (self.supply * drive).sqrt(), source: self.supply }
+    }
+
+    /// The same behind a blower, whose own loss adds to that of the valve.
+    pub(super) fn branch_behind(&self, blower: &Blower, pressure: f64) -> Branch {
+        let free_flow = self.full_flow_l_s * self.characteristic.share(self.stem);
+        // Infinite for a closed valve: its conductance is then zero.
+        let quadratic = self.supply / (free_flow * free_flow) + blower.drop();
+        let source = blower.source();
+        Branch {
+            conductance: parabolic_conductance(LAMINAR_CMH2O_PER_L_S, quadratic, source - pressure),
+            source,
+        }
     }
 
     /// Travel of the stem in percent.

@@ -22,7 +22,8 @@ pub struct ValveConfig {
     pub curve_exponent: f64,
     /// Flow at 100 % against the pressure of the room, L/s.
     pub max_flow_l_per_s: f64,
-    /// Supply pressure, cmH2O: the flow falls with the square root of its difference to the circuit's pressure.
+    /// Supply pressure, cmH2O: the flow falls with the square root of its difference to the circuit's pressure. With a blower, the
+    /// pressure that it holds without flow.
     pub supply_pressure_cmh2o: f64,
 }
 
@@ -40,7 +41,7 @@ impl Default for ValveConfig {
     }
 }
 
-/// Expiratory on/off valve with a mechanical PEEP valve behind it.
+/// Expiratory on/off valve with a mechanical PEEP valve behind it, or proportional valve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ExpiratoryConfig {
@@ -50,11 +51,20 @@ pub struct ExpiratoryConfig {
     pub orifice_l_per_s_per_sqrt_cmh2o: f64,
     /// Resistance at small flow, cmH2O/(L/s).
     pub laminar_resistance_cmh2o_per_l_s: f64,
+    /// Pressure below PEEP at which a proportional valve has closed, cmH2O: it holds PEEP by closing partly, with this finite gain.
+    /// Absent: an on/off valve with a mechanical PEEP valve.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub peep_band_cmh2o: Option<f64>,
 }
 
 impl Default for ExpiratoryConfig {
     fn default() -> Self {
-        Self { lag_ms: 15.0, orifice_l_per_s_per_sqrt_cmh2o: 0.4, laminar_resistance_cmh2o_per_l_s: 0.5 }
+        Self {
+            lag_ms: 15.0,
+            orifice_l_per_s_per_sqrt_cmh2o: 0.4,
+            laminar_resistance_cmh2o_per_l_s: 0.5,
+            peep_band_cmh2o: None,
+        }
     }
 }
 
@@ -141,7 +151,8 @@ impl ExpiratoryConfig {
         let check = |field: &str, value, range| check(&format!("expiratory.{field}"), value, range);
         check("lag_ms", self.lag_ms, 0.0..=500.0)?;
         check("orifice_l_per_s_per_sqrt_cmh2o", self.orifice_l_per_s_per_sqrt_cmh2o, 0.02..=5.0)?;
-        check("laminar_resistance_cmh2o_per_l_s", self.laminar_resistance_cmh2o_per_l_s, 0.01..=50.0)
+        check("laminar_resistance_cmh2o_per_l_s", self.laminar_resistance_cmh2o_per_l_s, 0.01..=50.0)?;
+        self.peep_band_cmh2o.map_or(Ok(()), |band| check("peep_band_cmh2o", band, 0.2..=20.0))
     }
 }
 

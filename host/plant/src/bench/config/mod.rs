@@ -1,10 +1,12 @@
 //! Parameters of the virtual bench: defaults, allowed ranges, TOML.
 
+mod blower;
 mod fault;
 mod machine;
 mod patient;
 mod sensors;
 
+pub use blower::BlowerConfig;
 pub use fault::{Distortion, FaultConfig, Faulty, Repeats, Signal, Strain};
 pub use machine::{CircuitConfig, ExpiratoryConfig, LeakChange, UnitConfig, ValveConfig};
 pub(super) use patient::MOST_EFFORT_CMH2O;
@@ -92,6 +94,9 @@ pub struct BenchConfig {
     pub sub_steps: u32,
     /// Inspiratory valve.
     pub valve: ValveConfig,
+    /// Blower that supplies it; absent: a gas supply of constant pressure.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub blower: Option<BlowerConfig>,
     /// Expiratory valve.
     pub expiratory: ExpiratoryConfig,
     /// Breathing circuit.
@@ -119,6 +124,7 @@ impl Default for BenchConfig {
             name: "R20C20".to_owned(),
             sub_steps: LEAST_SUB_STEPS,
             valve: ValveConfig::default(),
+            blower: None,
             expiratory: ExpiratoryConfig::default(),
             circuit: CircuitConfig::default(),
             lung: LungConfig::default(),
@@ -170,6 +176,7 @@ impl BenchConfig {
             name: _,
             sub_steps,
             valve,
+            blower,
             expiratory,
             circuit,
             lung,
@@ -182,6 +189,7 @@ impl BenchConfig {
         } = self;
         check("sub_steps", f64::from(*sub_steps), f64::from(LEAST_SUB_STEPS)..=64.0)?;
         valve.validate()?;
+        blower.as_ref().map_or(Ok(()), BlowerConfig::validate)?;
         expiratory.validate()?;
         circuit.validate()?;
         lung.validate()?;

@@ -42,8 +42,11 @@ use crate::prescriptions::{NAMES, Prescriptions, PrescriptionsError};
 use crate::range::{self, Range};
 
 /// The shipped families, by name.
-const SHIPPED: [(&str, &str); 2] =
-    [("adult", include_str!("adult.toml")), ("neonate", include_str!("neonate.toml"))];
+const SHIPPED: [(&str, &str); 3] = [
+    ("adult", include_str!("adult.toml")),
+    ("neonate", include_str!("neonate.toml")),
+    ("blower", include_str!("blower.toml")),
+];
 
 /// Why a family was refused.
 #[derive(Debug, thiserror::Error)]

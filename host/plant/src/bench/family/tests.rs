@@ -149,7 +149,7 @@ fn refusals_say_what_to_do() {
             .starts_with("the family is not valid")
     );
     let unknown = Family::find("aliens").unwrap_err().to_string();
-    assert_eq!(unknown, "there is no family aliens: name a TOML file, or one of adult, neonate");
+    assert_eq!(unknown, "there is no family aliens: name a TOML file, or one of adult, neonate, blower");
     assert!(
         Family::find("none.toml").unwrap_err().to_string().starts_with("cannot read the family none.toml")
     );

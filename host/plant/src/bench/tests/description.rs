@@ -1,7 +1,7 @@
 //! The parameter file and the names of lungs.
 
 use super::all_lungs;
-use crate::bench::{Bench, BenchConfig, BenchError, CompartmentConfig, LeakChange};
+use crate::bench::{Bench, BenchConfig, BenchError, BlowerConfig, CompartmentConfig, LeakChange};
 
 fn refused(text: &str) -> String {
     BenchConfig::from_toml(text).unwrap_err().to_string()
@@ -14,6 +14,8 @@ fn every_preset_is_valid_and_round_trips() {
         config.unit.number = u32::MAX;
         config.circuit.leak_changes = vec![LeakChange { at_s: 60.0, leak_l_per_s_at_30_cmh2o: 0.3 }];
         config.flow_sensor.present = false;
+        config.blower = Some(BlowerConfig::default());
+        config.expiratory.peep_band_cmh2o = Some(2.0);
         assert_eq!(BenchConfig::from_toml(&config.to_toml()).unwrap(), config);
     }
 }
@@ -31,6 +33,7 @@ fn unknown_fields_are_refused_by_name() {
     let tables = [
         "",
         "[valve]",
+        "[blower]",
         "[expiratory]",
         "[circuit]",
         "[lung]",
@@ -62,6 +65,8 @@ fn numbers(prefix: &str, table: &toml::Table, found: &mut Vec<String>) {
 fn every_value_has_bounds_and_the_error_names_the_field() {
     let mut config = BenchConfig::default();
     config.lung.second = Some(CompartmentConfig::default());
+    config.blower = Some(BlowerConfig::default());
+    config.expiratory.peep_band_cmh2o = Some(2.0);
     let table: toml::Table = toml::from_str(&config.to_toml()).unwrap();
     let mut fields = Vec::new();
     numbers("", &table, &mut fields);

@@ -29,7 +29,7 @@ fn plain(resistance: f64, compliance: f64) -> BenchConfig {
     config
 }
 
-fn run(bench: &mut Bench, u_in: f32, u_out: bool, steps: u32) -> Truth {
+pub(super) fn run(bench: &mut Bench, u_in: f32, u_out: bool, steps: u32) -> Truth {
     for _ in 0..steps {
         bench.step(u_in, u_out);
     }
