@@ -91,7 +91,7 @@ class Family:
     """Ranges for the parameters of a bench, from which a seed draws any number of plants."""
 
     def __init__(self, name: str) -> None:
-        """Read a family: `"adult"`, `"neonate"` or a TOML file."""
+        """Read a family: `"adult"`, `"neonate"`, `"blower"` or a TOML file."""
 
     @staticmethod
     def from_toml(text: str) -> Family:
@@ -118,7 +118,7 @@ class Controller:
 
     @staticmethod
     def load(path: _PathLike) -> Controller:
-        """Load a learned controller: `"adult"`, `"neonate"`, a file of `train`, or a weights image (`.bin`)."""
+        """Load a learned controller: `"adult"`, `"neonate"`, `"blower"`, a file of `train`, or a weights image (`.bin`)."""
 
     @property
     def name(self) -> str:

@@ -71,7 +71,7 @@ pub struct Args {
     law: LawArgs,
     #[command(flatten)]
     benches: BenchesArgs,
-    /// Random plants of a family, in place of --bench: adult, neonate, or a TOML file
+    /// Random plants of a family, in place of --bench: adult, neonate, blower, or a TOML file
     #[arg(long, value_name = "NAME|FILE", conflicts_with = "bench")]
     family: Option<String>,
     /// Prescriptions: paper, its six PIPs on each plant; bedside, or a TOML file, one plateau drawn for each plant

@@ -57,7 +57,7 @@ The result does not depend on the number of threads. With --keep, the plants tha
 are kept, and the same command continues with the others. To keep the results of a policy, or to
 divide its work, name the policy with --policy-id.")]
 pub struct Args {
-    /// Family of plants: adult, neonate, or a TOML file
+    /// Family of plants: adult, neonate, blower, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
     family: String,
     /// Prescriptions of the plants: paper, the family's own list; bedside, those of its patients; or a TOML file

@@ -37,7 +37,7 @@ pub struct Args {
     /// The rival: variable-gain, iterative, feed-forward or gated
     #[arg(value_name = "NAME", value_parser = rival)]
     rival: Rival,
-    /// Family of plants: adult, neonate, or a TOML file
+    /// Family of plants: adult, neonate, blower, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult", conflicts_with = "bench")]
     family: String,
     /// Virtual bench, in place of a family: a lung as in R20C20, `paper` for its nine lungs, or a TOML file; repeat it for more
