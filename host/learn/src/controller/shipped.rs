@@ -5,8 +5,10 @@
 //! ```text
 //! trainer train-family --family adult --out out/adult
 //! trainer train-family --family neonate --ripple 0.4 --margin-price 4 --iterations 16000 --out out/neonate
+//! trainer train-family --family blower --ripple 0.4 --margin-price 4 --iterations 3000 --batch 128 --out out/blower
 //! trainer export out/adult/controller.safetensors --out host/learn/controllers/adult.bin
 //! trainer export out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
+//! trainer export out/blower/controller.safetensors --out host/learn/controllers/blower.bin
 //! ```
 //!
 //! Newborns get less ripple: twice as much would cost 2 % of error in later breaths. With today's training, which has more high PIPs,
@@ -16,9 +18,10 @@ use shared::control::residual::Residual;
 use shared::weights::decode;
 
 /// Name and weights image of every shipped controller.
-const SHIPPED: [(&str, &[u8]); 2] = [
+const SHIPPED: [(&str, &[u8]); 3] = [
     ("adult", include_bytes!("../../controllers/adult.bin")),
     ("neonate", include_bytes!("../../controllers/neonate.bin")),
+    ("blower", include_bytes!("../../controllers/blower.bin")),
 ];
 
 /// The weights image of the controller with this name.
