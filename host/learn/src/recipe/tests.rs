@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::simulator::fit_config::{BATCH, STEPS};
+use data::identity::LungParameters;
 use data::provenance::Provenance;
 use data::recording::{Extra, Row};
 
