@@ -317,7 +317,7 @@ impl LungCycles {
         let residual = usual(fits.iter().flatten().map(|fit| fit.residual), ODD.2);
         let why = |fit: &Solution<COEFFICIENTS>| {
             let off = fit.coefficients[1] - elastance.0;
-            if fit.coefficients[1] <= 0.0 {
+            if fit.coefficients[1] <= 0.0 && elastance.0 > 0.0 {
                 Some("negative compliance")
             } else if off.abs() > elastance.1 {
                 Some("compliance unlike the others")
