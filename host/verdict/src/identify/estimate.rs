@@ -3,7 +3,6 @@
 use serde::Serialize;
 
 use super::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan, FlowPath};
-use super::flaws::Flaws;
 use super::median;
 use engine::least_squares::{Solution, student};
 
@@ -101,23 +100,6 @@ impl Fits {
 pub(super) fn inverse(elastance: &Estimate) -> Estimate {
     let positive = |elastance: f64| if elastance > 0.0 { 1.0 / elastance } else { f64::MAX };
     Estimate { value: 1.0 / elastance.value, low: 1.0 / elastance.high, high: positive(elastance.low) }
-}
-
-/// The coefficients 1/C, R and R2 behind a path whose flaws are known with these intervals: they count with their ends, and what is
-/// not taken out may yet be there.
-pub(super) fn with_flaws(cycles: &[&Cycle], flaws: &Flaws, circuit: f64) -> Option<([Estimate; 3], Fits)> {
-    let at = |path: FlowPath| Fits::new(cycles, &FlowPath { circuit, ..path });
-    let (taken, all) = (at(flaws.taken_out), at(flaws.all));
-    let ends = flaws.ends().map(|ends| ends.map(at));
-    let coefficient = |place: usize| {
-        let middle = all.coefficient(place)?;
-        let off = |fits: &Fits| fits.coefficient(place).map_or(0.0, |end| end.value - middle.value);
-        let middle = ends
-            .iter()
-            .fold(middle, |middle, [low, high]| middle.widened(off(low).abs().max(off(high).abs())));
-        Some(taken.coefficient(place)?.hull(&middle))
-    };
-    Some(([coefficient(1)?, coefficient(2)?, coefficient(3)?], taken))
 }
 
 /// Root mean square of the cycles' mean residual, as a share of that of their residuals.

@@ -2,7 +2,7 @@
 //! intervals do not contain 0, the leak only if it also explains most of the residual.
 
 use super::cycle::{Cycle, Drift, FitSpan, FlowPath, LEAK, MOST_DELAY_S};
-use super::estimate::{Estimate, common, estimate};
+use super::estimate::{Estimate, Fits, common, estimate};
 use super::median;
 use engine::least_squares::student;
 
@@ -30,7 +30,7 @@ pub(super) struct Flaws {
     /// What of them is taken out of the flow.
     pub(super) taken_out: FlowPath,
     /// Both, whether taken out or not.
-    pub(super) all: FlowPath,
+    all: FlowPath,
     /// Residuals without the delay and with it, cmH2O.
     pub(super) delay_residuals: (f64, f64),
 }
@@ -68,8 +68,25 @@ impl Flaws {
         })
     }
 
+    /// The coefficients 1/C, R and R2 behind a circuit, and the fits with what is taken out. Their intervals count with the ends of those
+    /// of the flaws, and what is not taken out may yet be there.
+    pub(super) fn coefficients(&self, cycles: &[&Cycle], circuit: f64) -> Option<([Estimate; 3], Fits)> {
+        let at = |path: FlowPath| Fits::new(cycles, &FlowPath { circuit, ..path });
+        let (taken, all) = (at(self.taken_out), at(self.all));
+        let ends = self.ends().map(|ends| ends.map(at));
+        let coefficient = |place: usize| {
+            let middle = all.coefficient(place)?;
+            let off = |fits: &Fits| fits.coefficient(place).map_or(0.0, |end| end.value - middle.value);
+            let middle = ends
+                .iter()
+                .fold(middle, |middle, [low, high]| middle.widened(off(low).abs().max(off(high).abs())));
+            Some(taken.coefficient(place)?.hull(&middle))
+        };
+        Some(([coefficient(1)?, coefficient(2)?, coefficient(3)?], taken))
+    }
+
     /// The path with both ends of the delay's interval, and with both of the leak's.
-    pub(super) fn ends(&self) -> [[FlowPath; 2]; 2] {
+    fn ends(&self) -> [[FlowPath; 2]; 2] {
         let (delay, leak) = (&self.delay_ms, &self.leak);
         [
             [delay.low, delay.high].map(|ms| FlowPath { delay_s: ms / 1e3, ..self.all }),

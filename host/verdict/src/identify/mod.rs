@@ -37,7 +37,7 @@ use thiserror::Error;
 
 use self::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan, FlowPath};
 pub use self::estimate::Estimate;
-use self::estimate::{estimate, inverse, with_flaws};
+use self::estimate::{estimate, inverse};
 use self::flaws::Flaws;
 use data::identity::TestRun;
 use data::recording::Recording;
@@ -254,9 +254,9 @@ impl LungCycles {
     pub fn identify(&self, recording: &Recording) -> Option<Identified> {
         let cycles: Vec<&Cycle> = self.breaths.iter().map(|(_, cycle)| cycle).collect();
         let flaws = Flaws::fit(&cycles, noise(&recording.pressure[self.rows()]))?;
-        let ([elastance, resistance, turbulence], fits) = with_flaws(&cycles, &flaws, 0.0)?;
+        let ([elastance, resistance, turbulence], fits) = flaws.coefficients(&cycles, 0.0)?;
         let circuit = self.circuit(flaws.taken_out);
-        let (behind, behind_fits) = with_flaws(&cycles, &flaws, circuit)?;
+        let (behind, behind_fits) = flaws.coefficients(&cycles, circuit)?;
         let offsets: Vec<f64> = cycles.iter().map(|cycle| cycle.offset()).collect();
         let flow: f64 = cycles.iter().map(|cycle| cycle.inspiratory_flow()).sum();
         let mut found = Identified {
