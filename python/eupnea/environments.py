@@ -151,8 +151,7 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     Args:
         lungs: Names such as `"R20C20"`, `"paper"` or `"iso-07"`, or `Bench` objects, which take turns.
-        family: A family of plants in place of lungs: `"adult"`, `"neonate"`, `"blower"` or a TOML file. Every episode has a plant of its
-            own.
+        family: A family of plants in place of lungs: `"adult"`, `"neonate"`, `"blower"` or a file. Every episode has its own plant.
         pips: PIPs of the waveforms, cmH2O, which take turns; default: those of the paper or of the family.
         settings: Further settings of the breaths by name, such as `{"peep": 8, "rate": 15}`.
         breathing: Whether the patients breathe, with efforts of 3, 6 and 10 cmH2O.
