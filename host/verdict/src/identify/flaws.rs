@@ -1,5 +1,5 @@
 //! What spoils the flow of a recording: a delay against the pressure, and a leak. Both are fitted, and taken out of the flow if their
-//! intervals do not contain 0, the leak only if it also explains most of the residual.
+//! intervals do not contain 0 and they explain enough of the residual.
 
 use super::cycle::{Cycle, Drift, FitSpan, FlowPath, LEAK, MOST_DELAY_S};
 use super::estimate::{Estimate, Fits, common, estimate};
@@ -14,6 +14,10 @@ const COARSE_STEPS: f64 = 5.0;
 const DELAY_CIRCUITS: [f64; 5] = [0.0, 0.75, 1.5, 2.5, 4.0];
 /// Most breaths from which the delay is searched.
 const MOST_SEARCHED: usize = 6;
+/// Residual with a delay, as a share of that without, below which the delay is taken out.
+const DELAY_EXPLAINS: f64 = 0.9;
+/// An early flow is taken out from here on, ms: a circuit and a lag of the pressure sensor resemble one.
+const LEAST_EARLY_MS: f64 = 20.0;
 /// Share of the residual beyond noise that a leak has to explain: a real lung is never exactly what the equation says, and a part of the
 /// difference resembles a leak.
 const EXPLAINS: f64 = 0.5;
@@ -45,14 +49,16 @@ impl Flaws {
         let delay = Delay::search(&searched)?;
         let path = |delay_s: f64, leak: f64| FlowPath { circuit: delay.circuit, delay_s, leak };
         let delay_ms = delay.interval(cycles);
-        let late = delay_ms.low > 0.0 || delay_ms.high < 0.0;
+        let late = (delay_ms.low > 0.0 || delay_ms.high < -LEAST_EARLY_MS)
+            && delay.residuals.1 < DELAY_EXPLAINS * delay.residuals.0;
         let delay_s = if late { delay.seconds } else { 0.0 };
         let leak = leak(cycles, path(delay.seconds, 0.0))?;
         let with = |delay_ms: f64| leak_and_precision(cycles, path(delay_ms / 1e3, 0.0));
         let off = |delay_ms: f64| with(delay_ms).map_or(0.0, |(end, _)| (end.value - leak.value).abs());
         let leak = leak.widened(off(delay_ms.low).max(off(delay_ms.high)));
         let square = |leak: f64| {
-            let fit = |cycle: &&Cycle| cycle.fit(FitSpan::Cycle, Drift::Corrected, &path(delay_s, leak));
+            let fit =
+                |cycle: &&Cycle| cycle.fit(FitSpan::Cycle, Drift::Corrected, &path(delay.seconds, leak));
             pooled(cycles.iter().filter_map(fit).map(|fit| fit.residual)).powi(2)
         };
         let (without, with) = (square(0.0), square(leak.value));
