@@ -5,6 +5,7 @@ mod simulated;
 use proptest::prelude::*;
 
 use self::simulated::Simulated;
+use super::estimate::Fits;
 use super::*;
 use data::import::{measured, measured_recording};
 use data::provenance::Provenance;
@@ -335,6 +336,42 @@ fn intervals_of_few_samples_are_wide_enough() {
     let coarse = |seed| Simulated { period_s: 0.04, ..simulated::sound(seed) };
     let found = coverage((0..100).map(coarse));
     assert!(found.iter().all(|share| *share >= 0.9), "{found:?}");
+}
+
+/// The cycles of a recording's only lung.
+fn cycles(recording: &Recording) -> Vec<Cycle> {
+    lungs(recording).unwrap().remove(0).breaths.into_iter().map(|(_, cycle)| cycle).collect()
+}
+
+#[test]
+fn an_interval_holds_what_half_of_the_rows_gives() {
+    for seed in 0..40 {
+        let truth = Simulated { period_s: 0.02, noise: [0.01, 0.0], ..simulated::sound(seed) };
+        let full = cycles(&truth.record());
+        let half: Vec<Cycle> = full.iter().map(Cycle::thinned).collect();
+        let fits = |cycles: &[Cycle]| Fits::new(&cycles.iter().collect::<Vec<_>>(), &FlowPath::default());
+        for place in 1..=2 {
+            let [full, half] = [&full, &half].map(|cycles| fits(cycles).coefficient(place).unwrap());
+            assert!(full.low <= half.value && half.value <= full.high, "{seed} {place}: {full:?} {half:?}");
+        }
+    }
+}
+
+#[test]
+fn an_error_that_every_breath_repeats_is_not_averaged_out() {
+    let truth = Simulated { noise: [0.0; 2], breaths: 20, period_s: 0.005, ..simulated::sound(3) };
+    let mut recording = truth.record();
+    // Not in the form of the equation: no breath differs from the others.
+    for row in 0..recording.len() {
+        let phase = f64::from(recording.tick[row]) * truth.period_s / 0.3;
+        recording.pressure[row] += 0.5 * (std::f64::consts::TAU * phase).sin() as f32;
+    }
+    let full = cycles(&recording);
+    let fits = Fits::new(&full.iter().collect::<Vec<_>>(), &FlowPath::default());
+    for (place, value) in [(1, 1.0 / truth.compliance), (2, truth.resistance)] {
+        let found = fits.coefficient(place).unwrap();
+        assert!(found.low <= value && value <= found.high, "{place}: {found:?} {value}");
+    }
 }
 
 #[test]
