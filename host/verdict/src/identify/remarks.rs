@@ -16,6 +16,8 @@ const SOUND_RESIDUAL: f64 = 0.04;
 const LEAST_DELAY_S: (f64, f64) = (0.008, 0.02);
 /// Residual with the delay taken out, as a share of the residual without, below which the delay is worth a remark.
 const EXPLAINS: f64 = 0.7;
+/// Residual with a leak, as a share of that without, below which a leak that is not taken out may be there.
+const LEAK_EXPLAINS: f64 = 0.95;
 /// Change of the compliance that makes a leak worth a remark, as a share.
 const LEAK_MATTERS: f64 = 0.03;
 /// Most sample periods in a time constant R C that are too few.
@@ -98,16 +100,22 @@ fn delay(flaws: &Flaws) -> Option<String> {
     })
 }
 
-/// The remark on a leak that is taken out, if it changes the compliance.
+/// The remark on a leak that changes the compliance: one that is taken out, or one that may be there.
 fn leak(lung: &LungCycles, found: &Identified, flaws: &Flaws) -> Option<String> {
     let cycles: Vec<&Cycle> = lung.breaths.iter().map(|(_, cycle)| cycle).collect();
-    let without = Fits::new(&cycles, &FlowPath { leak: 0.0, ..flaws.taken_out }).coefficient(1)?;
-    let without = 1.0 / without.value;
-    let matters = (without / found.compliance.value - 1.0).abs() > LEAK_MATTERS;
-    (flaws.taken_out.leak > 0.0 && matters).then(|| {
+    let path = FlowPath { circuit: found.behind_circuit.circuit_compliance, ..flaws.taken_out };
+    let fits = |leak: f64| Fits::new(&cycles, &FlowPath { leak, ..path });
+    let (with, without) = (fits(flaws.leak.value), fits(0.0));
+    let compliance = |fits: &Fits| Some(1.0 / fits.coefficient(1)?.value);
+    let (with_it, not) = (compliance(&with)?, compliance(&without)?);
+    let taken_out = flaws.taken_out.leak > 0.0;
+    let fits_better = flaws.leak.low > 0.0 && with.residual() < LEAK_EXPLAINS * without.residual();
+    let matters = (not / with_it - 1.0).abs() > LEAK_MATTERS;
+    let verb = if taken_out { "is taken out" } else { "may be there" };
+    (matters && (taken_out || fits_better)).then(|| {
         format!(
-            "a leak of {:.1} mL/s per cmH2O is taken out: without that, C would be {without:.1} mL/cmH2O",
-            found.leak.value
+            "a leak of {:.1} mL/s per cmH2O {verb}: with it C is {with_it:.1} mL/cmH2O, not {not:.1}",
+            flaws.leak.value
         )
     })
 }
