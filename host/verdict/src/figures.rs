@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::curve::{BreathCurve, SMALLEST_STEP};
 use super::ramp::Ramp;
+use super::series::{highest, lowest};
 use super::swings::{Swings, Turns};
 use engine::least_squares::solve;
 use monitoring::curve::{RISE, mean_over_time, rise};
@@ -283,16 +284,6 @@ fn level(target: &[f64], peep: f64, period_s: f64) -> (f64, Range<usize>) {
         return (level, start..end);
     }
     (target.iter().copied().fold(f64::NEG_INFINITY, f64::max), 0..0)
-}
-
-fn highest(values: &[f64]) -> usize {
-    let higher = |best: usize, n: usize| if values[n] > values[best] { n } else { best };
-    (0..values.len()).fold(0, higher)
-}
-
-/// Index of the lowest value, the first of equal ones; 0 if there is none.
-fn lowest(values: impl Iterator<Item = f64>) -> usize {
-    values.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
 }
 
 fn mean(values: &[f64]) -> f64 {

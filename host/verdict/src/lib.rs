@@ -21,6 +21,7 @@ mod limits;
 mod lung_report;
 mod ramp;
 mod response;
+mod series;
 mod settled;
 mod sore_spots;
 mod swings;
@@ -46,6 +47,7 @@ use self::figures::Context;
 pub use self::figures::Figures;
 pub use self::limits::{Kind, LimitResult, Limits, Violation};
 pub use self::lung_report::{IsoMatch, LungReport, Mean};
+use self::series::median;
 use self::settled::Settled;
 pub use self::sore_spots::SoreSpot;
 pub use self::swings::Swings;
@@ -326,12 +328,8 @@ fn usual<K: Eq + Hash>(values: impl Iterator<Item = (usize, K, f64)>) -> HashMap
         by_key.entry(key).or_default().push((place, value));
     }
     let around = |values: &[(usize, f64)], n: usize| {
-        let mut near: Vec<f64> = values[n.saturating_sub(AROUND)..values.len().min(n + AROUND + 1)]
-            .iter()
-            .map(|(_, v)| *v)
-            .collect();
-        near.sort_by(f64::total_cmp);
-        near[near.len() / 2]
+        let near = &values[n.saturating_sub(AROUND)..values.len().min(n + AROUND + 1)];
+        median(near.iter().map(|(_, value)| *value).collect())
     };
     let of_key = |values: &Vec<(usize, f64)>| -> Vec<(usize, (f64, usize))> {
         (0..values.len()).map(|n| (values[n].0, (around(values, n), values.len()))).collect()

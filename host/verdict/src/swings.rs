@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use super::series::{averaged, reversals};
+
 /// Smallest move of the pressure that counts as a swing, cmH2O.
 const SMALLEST: f64 = 0.5;
 /// The same as a multiple of the noise's standard deviation: the largest of a breath's samples are that far apart.
@@ -68,32 +70,6 @@ fn frequency(reversals: &[usize], period_s: f64) -> Option<f64> {
     gaps.retain(|gap| *gap as f64 <= longest);
     let half = gaps.iter().sum::<usize>() as f64 / gaps.len() as f64 * period_s;
     Some(0.5 / half)
-}
-
-/// Mean over `reach` samples on either side, fewer at the ends.
-fn averaged(values: &[f64], reach: usize) -> Vec<f64> {
-    (0..values.len())
-        .map(|n| {
-            let reach = reach.min(n).min(values.len() - 1 - n);
-            let around = &values[n - reach..=n + reach];
-            around.iter().sum::<f64>() / around.len() as f64
-        })
-        .collect()
-}
-
-/// Extremes from which the curve, rising at first, moves back by at least `band`; and the last extreme.
-fn reversals(values: &[f64], band: f64) -> (Vec<usize>, usize) {
-    let (mut found, mut extreme, mut up) = (Vec::new(), 0, true);
-    for (n, value) in values.iter().enumerate() {
-        let beyond = if up { value - values[extreme] } else { values[extreme] - value };
-        if beyond > 0.0 {
-            extreme = n;
-        } else if -beyond >= band {
-            found.push(extreme);
-            (extreme, up) = (n, !up);
-        }
-    }
-    (found, extreme)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use crate::curve::BreathCurve;
+use crate::series::averaged;
 use data::recording::Recording;
 use data::recording::quality::noise;
 
@@ -108,17 +109,4 @@ pub(super) fn noise_of(flow: &[f64]) -> f64 {
 /// Samples on either side over which a value is averaged.
 fn reach(period_s: f64) -> usize {
     (0.5 * SMOOTHED_S / period_s).floor() as usize
-}
-
-/// Mean over `reach` samples on either side, fewer at the ends.
-fn averaged(values: &[f64], reach: usize) -> Vec<f64> {
-    let mut sums = vec![0.0; values.len() + 1];
-    for (n, value) in values.iter().enumerate() {
-        sums[n + 1] = sums[n] + value;
-    }
-    let mean = |n: usize| {
-        let reach = reach.min(n).min(values.len() - 1 - n);
-        (sums[n + reach + 1] - sums[n - reach]) / (2 * reach + 1) as f64
-    };
-    (0..values.len()).map(mean).collect()
 }

@@ -1,6 +1,7 @@
 //! Signs of the patient's muscles in the pressure and the flow of a breath.
 
 use super::course::{Course, Noise};
+use crate::series::{highest, lowest, reversals};
 use engine::least_squares::solve;
 
 /// Bump of the flow towards zero of a missed effort, L/s: 5.45 L/min (Chen 2008).
@@ -67,7 +68,9 @@ pub(super) fn missed(course: &Course, noise: Noise) -> usize {
         let still = back < UNSTEADY * course.flow[peak].abs();
         recovered >= dip && draws && !still && back / flow + recovered / pressure >= BOTH
     };
-    peaks(&course.flow[from..to], bump).iter().filter(|peak| effort(peak)).count()
+    // Peaks and valleys take turns; the first value is no peak.
+    let (turns, _) = reversals(&course.flow[from..to], bump);
+    turns.iter().step_by(2).filter(|peak| **peak > 0 && effort(peak)).count()
 }
 
 /// Strongest expiratory flow, L/s.
@@ -97,35 +100,14 @@ fn falls(course: &Course, peak: usize, bump: f64) -> f64 {
     course.pressure[start] - course.pressure[peak]
 }
 
-/// Places at which a curve turns from a rise of at least `band` to a fall of at least `band`. The first rise is any.
-fn peaks(values: &[f64], band: f64) -> Vec<usize> {
-    let (mut found, mut extreme, mut up) = (Vec::new(), 0, true);
-    for (n, value) in values.iter().enumerate() {
-        let beyond = if up { value - values[extreme] } else { values[extreme] - value };
-        if beyond > 0.0 {
-            extreme = n;
-        } else if -beyond >= band {
-            if up && extreme > 0 {
-                found.push(extreme);
-            }
-            (extreme, up) = (n, !up);
-        }
-    }
-    found
-}
-
 /// Where the pressure is lowest around a peak of the flow, and its recovery afterwards, cmH2O.
 fn recovered(course: &Course, peak: usize) -> (usize, f64) {
     let (around, recovers) = (course.ticks(AROUND_S), course.ticks(RECOVERS_S));
     let first = peak.saturating_sub(around).max(course.inspiration);
     let last = (peak + around).min(course.flow.len());
-    let lowest = first + lowest(&course.pressure[first..last]);
+    let lowest = first + lowest(course.pressure[first..last].iter().copied());
     let after = &course.pressure[lowest..(peak + recovers).min(course.flow.len())];
     (lowest, after.iter().copied().fold(f64::NEG_INFINITY, f64::max) - course.pressure[lowest])
-}
-
-fn lowest(values: &[f64]) -> usize {
-    (0..values.len()).fold(0, |best, n| if values[n] < values[best] { n } else { best })
 }
 
 /// Whether the patient exhales in the second half of an inspiration: its pressure rises while its flow falls to nothing, and
@@ -134,19 +116,15 @@ pub(super) fn exhales_in_inspiration(course: &Course, noise: Noise) -> bool {
     let (flow, pressure) = (&course.flow[..course.inspiration], &course.pressure[..course.inspiration]);
     let noise = noise.smoothed(course.period_s);
     let against = AGAINST.max(NOISES * noise.pressure);
-    let top = highest(pressure, pressure.len() / 2);
-    let bottom = (pressure.len() / 2..top).rfind(|n| pressure[*n] <= pressure[top] - against);
+    let half = pressure.len() / 2;
+    let top = half + highest(&pressure[half..]);
+    let bottom = (half..top).rfind(|n| pressure[*n] <= pressure[top] - against);
     let Some(bottom) = bottom else { return false };
     let compliance = course.inspired_ml() / course.way;
     let explains = course.volume_ml(bottom..top) > EXPLAINED * compliance * against;
-    let most = flow[highest(flow, 0)];
+    let most = flow[highest(flow)];
     let rises = flow[top] > flow[bottom] + STEADY * most + NOISES * noise.flow;
     flow[top] <= ENDED * most && !rises && !explains
-}
-
-/// Place of the highest value from a place on.
-fn highest(values: &[f64], from: usize) -> usize {
-    (from..values.len()).fold(from, |best, n| if values[n] > values[best] { n } else { best })
 }
 
 /// Whether neither pressure nor flow show an effort at the end of the expiration before a breath, although they would.

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan, FlowPath};
-use super::median;
+use crate::series::median;
 use engine::least_squares::{Solution, student};
 
 /// A value with its 95 % confidence interval.

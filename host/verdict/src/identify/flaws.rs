@@ -3,7 +3,7 @@
 
 use super::cycle::{Cycle, Drift, FitSpan, FlowPath, LEAK, MOST_DELAY_S};
 use super::estimate::{Estimate, Fits, common, estimate};
-use super::median;
+use crate::series::median;
 use engine::least_squares::student;
 
 /// Spacing of the delays that are tried, s.

@@ -39,6 +39,7 @@ use self::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan, FlowPath};
 pub use self::estimate::Estimate;
 use self::estimate::{estimate, inverse};
 use self::flaws::Flaws;
+use crate::series::median;
 use data::identity::TestRun;
 use data::recording::Recording;
 use data::recording::quality::{SD_PER_DEVIATION, noise};
@@ -241,12 +242,6 @@ fn usual(values: impl Iterator<Item = f64>, share: f64) -> (f64, f64) {
     let middle = median(values.clone());
     let spread = SD_PER_DEVIATION * median(values.iter().map(|value| (value - middle).abs()).collect());
     (middle, (ODD.0 * spread).max(share * middle.abs()))
-}
-
-/// Median, 0 without values.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 impl LungCycles {
