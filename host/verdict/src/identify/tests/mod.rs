@@ -399,6 +399,14 @@ fn a_clean_recording_gives_r_and_c_within_a_hundredth() {
 }
 
 #[test]
+fn a_bench_made_from_a_leaking_lung_leaks() {
+    let recording = Simulated { leak: 5.0, ..simulated::sound(2) }.record();
+    let found = identify(&recording).unwrap().remove(0);
+    let leak = bench::bench(&found, &recording).unwrap().circuit.leak_l_per_s_at_30_cmh2o;
+    assert!((leak / 0.15 - 1.0).abs() < 0.1, "{leak}");
+}
+
+#[test]
 fn every_breath_that_is_left_out_has_its_reason() {
     let mut recording = Simulated { breaths: 9, ..simulated::sound(1) }.record();
     let breaths = recording.breaths();
