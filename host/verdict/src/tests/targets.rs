@@ -61,6 +61,19 @@ fn a_rise_time_setting_changes_neither_level_nor_overshoot_nor_plateau() {
 }
 
 #[test]
+fn a_plateau_begins_after_a_rise_that_the_target_does_not_show() {
+    let slow = |t: f64| if t < 1.0 { (PEEP + (PIP - PEEP) * t / 0.8).min(PIP) } else { PEEP };
+    for inferred in [false, true] {
+        let mut recording = Build { pressure: &slow, ..Build::default() }.recording();
+        if inferred {
+            recording.provenance.notes.push(NO_SET_POINT.to_owned());
+        }
+        let verdict = judge(&recording, Judged::True, &Limits::default()).unwrap();
+        close(verdict.breaths[0].figures.slope, 0.0, 0.1);
+    }
+}
+
+#[test]
 fn a_target_that_was_square_says_so_and_one_that_rises_may_take_its_time() {
     let spots = |recording: &Recording| {
         let verdict = judge(recording, Judged::True, &Limits::default()).unwrap();
