@@ -76,7 +76,7 @@ impl OperatingPoint {
         }
         let taken_ml = bench.truth().lung_volume_ml - before_ml;
         let mean = 1e-3 * taken_ml / f64::from(settings.inspiratory_time);
-        let full = config.valve.max_flow_l_per_s;
+        let full = config.full_flow_l_per_s();
         Ok(Self { pip, peep, flow_l_s: mean.clamp(FLOW_SHARES.0 * full, FLOW_SHARES.1 * full) })
     }
 
@@ -111,7 +111,7 @@ mod tests {
         // 20 mL/cmH2O x 15 cmH2O in 1 s, of which 92 % enter within 2.5 time constants.
         let mean = flow(20.0, 20.0, 20.0);
         assert!(mean > 0.25 && mean < 0.29, "{mean}");
-        let full = BenchConfig::default().valve.max_flow_l_per_s;
+        let full = BenchConfig::default().full_flow_l_per_s();
         assert!((flow(50.0, 10.0, 10.0) - 0.1 * full).abs() < 1e-12);
         assert!((flow(5.0, 50.0, 35.0) - 0.6 * full).abs() < 1e-12);
     }

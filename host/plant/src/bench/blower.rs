@@ -122,6 +122,21 @@ mod tests {
     }
 
     #[test]
+    fn the_full_flow_of_a_machine_is_the_steady_one_that_its_open_valve_reaches() {
+        let machine = machine(sagging());
+        let full = machine.full_flow_l_per_s();
+        let mut blower = blower(&sagging());
+        let mut flow = 0.0;
+        for _ in 0..200_000 {
+            flow = (blower.source() / (blower.drop() + SHUT_OFF / 16.0)).sqrt();
+            blower.advance(flow);
+        }
+        assert!((flow - full).abs() < 1e-6 && full < 1.5, "{flow}, not {full}");
+        let alone = BenchConfig { blower: None, ..machine };
+        assert!((alone.full_flow_l_per_s() - 4.0).abs() < 1e-12);
+    }
+
+    #[test]
     fn gas_never_flows_back_into_the_blower() {
         let mut config = machine(BlowerConfig::default());
         config.patient.cough_cmh2o = 150.0;

@@ -24,6 +24,8 @@ pub struct Machine {
     exponent: f32,
     full_flow: f32,
     supply: f32,
+    /// Loss of pressure in the blower per square of the flow, cmH2O/(L/s)^2; zero without one.
+    drop: f32,
     /// Compliance of the circuit, mL/cmH2O.
     pub circuit: f32,
     /// The usual lung on such a machine.
@@ -51,6 +53,7 @@ impl Machine {
             exponent: curve_exponent as f32,
             full_flow: max_flow_l_per_s as f32,
             supply: supply_pressure_cmh2o as f32,
+            drop: bench.blower.map_or(0.0, |blower| blower.drop_cmh2o_per_l2_s2 as f32),
             circuit: bench.circuit.compliance_ml_per_cmh2o as f32,
             usual: Lung {
                 resistance: lung.resistance_cmh2o_per_l_s as f32,
@@ -59,15 +62,22 @@ impl Machine {
         }
     }
 
-    /// Flow of the fully open valve against a pressure in cmH2O, L/s.
+    /// Pressure that drives a flow against a pressure, cmH2O.
+    fn drive(&self, pressure: f32) -> f32 {
+        (self.supply - pressure).max(0.01 * self.supply)
+    }
+
+    /// Flow of the fully open valve alone against a pressure in cmH2O, L/s.
     fn full_flow(&self, pressure: f32) -> f32 {
-        self.full_flow * ((self.supply - pressure) / self.supply).max(0.01).sqrt()
+        self.full_flow * (self.drive(pressure) / self.supply).sqrt()
     }
 
     /// Flow through the valve at a travel of its stem in percent, against a pressure in cmH2O, L/s.
     pub fn flow(&self, stem: f32, pressure: f32) -> f32 {
         let open = (stem - self.dead_zone) / (COMMAND_MAX - self.dead_zone);
-        self.full_flow(pressure) * math::limit(open, 0.0, 1.0).powf(self.exponent)
+        let alone = self.full_flow(pressure) * math::limit(open, 0.0, 1.0).powf(self.exponent);
+        // The losses of valve and blower add up.
+        alone / (1.0 + self.drop * alone * alone / self.drive(pressure)).sqrt()
     }
 
     /// Position of the stem after the actuator has moved, percent: closing, it lags by the play, near the seat by less.
@@ -78,7 +88,9 @@ impl Machine {
     /// Travel of the stem in percent that gives a flow in L/s against a pressure in cmH2O: the end of the dead zone for no flow, full
     /// travel for a flow that the valve does not reach.
     pub fn stem(&self, flow: f32, pressure: f32) -> f32 {
-        let share = math::limit(flow / self.full_flow(pressure), 0.0, 1.0);
+        let left = 1.0 - self.drop * flow * flow / self.drive(pressure);
+        let alone = if left > 0.0 { flow / left.sqrt() } else { f32::INFINITY };
+        let share = math::limit(alone / self.full_flow(pressure), 0.0, 1.0);
         self.dead_zone + (COMMAND_MAX - self.dead_zone) * share.powf(1.0 / self.exponent)
     }
 }
@@ -133,26 +145,39 @@ mod tests {
 
     #[test]
     fn the_inverse_of_the_valve_gives_back_the_flow() {
-        let machine = machine();
-        for flow in [0.0, 0.01, 0.3, 1.2] {
-            assert!((machine.flow(machine.stem(flow, 20.0), 20.0) - flow).abs() < 1e-4, "{flow}");
+        for (machine, end_of_dead_zone) in [(machine(), 4.0), (blower_machine().0, 22.0)] {
+            for flow in [0.0, 0.01, 0.3, 0.9] {
+                assert!((machine.flow(machine.stem(flow, 20.0), 20.0) - flow).abs() < 1e-4, "{flow}");
+            }
+            assert!((machine.stem(99.0, 20.0) - 100.0).abs() < 1e-4);
+            assert!((machine.stem(-1.0, 20.0) - end_of_dead_zone).abs() < 1e-4, "no flow");
         }
-        assert!((machine.stem(99.0, 20.0) - 100.0).abs() < 1e-4);
-        assert!(
-            (machine.stem(-1.0, 20.0) - 4.0).abs() < 1e-4,
-            "no flow keeps the stem at the dead zone's end"
-        );
+    }
+
+    fn blower_machine() -> (Machine, BenchConfig) {
+        let bench = Family::find("blower").unwrap().nominal();
+        (Machine::of(&bench), bench)
     }
 
     #[test]
     fn the_model_follows_the_valve_of_the_nominal_bench() {
-        let mut bench = Bench::new(&BenchConfig::paper(20.0, 20.0), 5.0, 1).unwrap();
-        let machine = machine();
-        let mut model = ModelValve::closed(&machine, DEFAULT_PERIOD_US);
+        follows_the_valve(&machine(), &BenchConfig::paper(20.0, 20.0));
+    }
+
+    #[test]
+    fn the_model_follows_the_valve_of_a_blower_at_its_speed() {
+        let (machine, mut bench) = blower_machine();
+        bench.blower.as_mut().unwrap().sag_percent_per_l_per_s = 0.0;
+        follows_the_valve(&machine, &bench);
+    }
+
+    fn follows_the_valve(machine: &Machine, config: &BenchConfig) {
+        let mut bench = Bench::new(config, 5.0, 1).unwrap();
+        let mut model = ModelValve::closed(machine, DEFAULT_PERIOD_US);
         for tick in 0..600 {
             let command = if tick < 100 { 60.0 } else { 25.0 - 0.02 * tick as f32 };
             let pressure = bench.truth().airway_pressure as f32;
-            let flow = model.advance(&machine, DEFAULT_PERIOD_US, command, pressure);
+            let flow = model.advance(machine, DEFAULT_PERIOD_US, command, pressure);
             bench.step(command, false);
             let truth = bench.truth().flow_valve;
             assert!((f64::from(flow) - truth).abs() < 0.03, "tick {tick}: {flow}, not {truth}");

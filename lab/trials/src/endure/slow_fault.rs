@@ -37,7 +37,7 @@ pub(super) fn add(rng: &mut ChaCha8Rng, bench: &mut BenchConfig) {
     let faults = match rng.random_range(0..10) {
         0..5 => sensor(rng, bench, ramp),
         5 => {
-            let largest = log_uniform(rng, LEAK) * bench.valve.max_flow_l_per_s;
+            let largest = log_uniform(rng, LEAK) * bench.full_flow_l_per_s();
             leak(bench, ramp, largest.min(MOST_LEAK));
             Vec::new()
         }
@@ -60,7 +60,7 @@ fn sensor(rng: &mut ChaCha8Rng, bench: &BenchConfig, ramp: Ramp) -> Vec<FaultCon
         0 => {
             let sign = if rng.random() { 1.0 } else { -1.0 };
             let size = if signal == Signal::Flow {
-                log_uniform(rng, FLOW_DRIFT) * bench.valve.max_flow_l_per_s
+                log_uniform(rng, FLOW_DRIFT) * bench.full_flow_l_per_s()
             } else {
                 log_uniform(rng, PRESSURE_DRIFT)
             };

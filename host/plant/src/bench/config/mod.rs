@@ -166,6 +166,15 @@ impl BenchConfig {
         Self::from_toml(&text)
     }
 
+    /// Steady flow of the open inspiratory valve against no pressure, L/s: behind a blower less than the valve alone lets through.
+    pub fn full_flow_l_per_s(&self) -> f64 {
+        let (alone, source) = (self.valve.max_flow_l_per_s, self.valve.supply_pressure_cmh2o.sqrt());
+        self.blower.map_or(alone, |blower| {
+            let slowed = 0.01 * blower.sag_percent_per_l_per_s * source;
+            source / ((source / alone).hypot(blower.drop_cmh2o_per_l2_s2.sqrt()) + slowed)
+        })
+    }
+
     /// Checks that every value is finite and within the range in which the physics are valid.
     ///
     /// # Errors
