@@ -191,7 +191,7 @@ const LISTED: usize = 12;
 
 fn asynchronies(verdict: &Verdict) -> String {
     let Some(found) = &verdict.asynchronies else {
-        return "Asynchronies: unknown without flow\n".to_owned();
+        return "Asynchronies: unknown without flow in both directions\n".to_owned();
     };
     let one = |count: &AsynchronyCount| {
         let listed =

@@ -43,7 +43,18 @@ impl Case {
     }
 
     fn spots(&self) -> Vec<SoreSpot> {
-        let recording = bench::recorded(&self.bench, &self.settings, self.gains, 6, self.seed, false);
+        self.spots_of_every(1)
+    }
+
+    /// Sore spots where only every so manieth tick is recorded.
+    fn spots_of_every(&self, ticks: u32) -> Vec<SoreSpot> {
+        let fine = bench::recorded(&self.bench, &self.settings, self.gains, 6, self.seed, false);
+        let provenance = Provenance::new(1_000 * ticks, "bench");
+        let mut recording = Recording::with_extras(provenance, &[Extra::FlowIn, Extra::FlowOut]);
+        let rows = (0..fine.len()).filter_map(|row| fine.row(row));
+        for row in rows.filter(|row| row.tick % ticks == 0) {
+            recording.push(Row { tick: row.tick / ticks, ..row });
+        }
         judge(&recording, Judged::True, &Limits::default()).unwrap().sore_spots
     }
 
@@ -59,8 +70,16 @@ fn oscillates(kind: Kind) -> bool {
 
 /// Number of cases with a sore spot of a kind, and of those with each cause as its first advice.
 fn causes(cases: impl Iterator<Item = Case>, concerns: fn(Kind) -> bool) -> (usize, [usize; 4]) {
+    causes_among(cases.map(|case| case.spots()), concerns)
+}
+
+/// The same of the sore spots of cases.
+fn causes_among(
+    cases: impl Iterator<Item = Vec<SoreSpot>>,
+    concerns: fn(Kind) -> bool,
+) -> (usize, [usize; 4]) {
     let (mut sore, mut found) = (0, [0; 4]);
-    for spots in cases.map(|case| case.spots()) {
+    for spots in cases {
         let spots: Vec<&SoreSpot> = spots.iter().filter(|spot| concerns(spot.kind)).collect();
         sore += usize::from(!spots.is_empty());
         if let Some(advice) = spots.iter().find_map(|spot| spot.advice.as_ref()) {
@@ -81,14 +100,26 @@ fn gains_that_are_too_high_are_named() {
     assert!(10 * gain >= 8 * sore && sore >= 10, "{gain} of {sore}");
 }
 
-#[test]
-fn a_long_delay_is_named() {
-    let late = calm().map(|mut case| {
+fn late() -> impl Iterator<Item = Case> {
+    calm().map(|mut case| {
         case.bench.valve.dead_time_ms = 30.0;
         case
-    });
-    let (sore, [_, delay, ..]) = causes(late, oscillates);
+    })
+}
+
+#[test]
+fn a_long_delay_is_named() {
+    let (sore, [_, delay, ..]) = causes(late(), oscillates);
     assert!(10 * delay >= 8 * sore && sore >= 10, "{delay} of {sore}");
+}
+
+#[test]
+fn a_coarse_recording_does_not_tell_a_gain_from_a_delay() {
+    let coarse = |case: Case| case.spots_of_every(20);
+    let (sore, [_, wrong, ..]) = causes_among(calm().map(|case| coarse(case.scaled(2.0))), oscillates);
+    assert!(sore >= 10 && wrong == 0, "{wrong} of {sore}");
+    let (sore, [wrong, ..]) = causes_among(late().map(coarse), oscillates);
+    assert!(sore >= 10 && wrong == 0, "{wrong} of {sore}");
 }
 
 #[test]
