@@ -113,7 +113,7 @@ fn run_networks(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<(
         format!(
             "fit target/python/plant.parquet --epochs 20 --architecture stitched --out {folder}/stitched.safetensors"
         ),
-        format!("train-family --units 4 --iterations 2 --out {folder}/family"),
+        format!("train-family --units 4 --iterations 2 --start-from adult --out {folder}/family"),
     ] {
         trainer.run(&line, &[])?;
     }

@@ -1,8 +1,12 @@
 //! `trainer train-family`: one controller for all units of a family.
 
+use std::path::PathBuf;
+
+use anyhow::Context as _;
 use shared::control::pid::PidGains;
 
 use super::train::{ResultArgs, Summary};
+use crate::args::controller::learned;
 use crate::args::gains::{format_gains, gains};
 use crate::command::bounds::{some, within};
 use crate::command::{Command, Context, Makes, Output};
@@ -44,6 +48,9 @@ pub struct Args {
     /// [default: the family's soft PID or, if it has none, that of adults]
     #[arg(long, value_name = "P,I,D", value_parser = gains)]
     gains: Option<PidGains>,
+    /// Trained controller to start from, over the PID under it: a shipped one or a file; the steps begin at half of the rate
+    #[arg(long, value_name = "NAME|FILE")]
+    start_from: Option<PathBuf>,
     /// Gradient steps
     #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.iterations, value_parser = some())]
     iterations: usize,
@@ -92,6 +99,11 @@ impl Args {
             collector: self.collector,
             ..FamilyRun::of(family, &prescriptions)
         };
+        if let Some(path) = &self.start_from {
+            let start = learned(path)?;
+            let residual = start.residual().expect("a weights image contains a residual");
+            config.start_from(residual).with_context(|| path.display().to_string())?;
+        }
         config.gains = self.gains.unwrap_or(config.gains);
         config.train.iterations = self.iterations;
         config.train.batch = self.batch;

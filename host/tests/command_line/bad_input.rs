@@ -124,6 +124,13 @@ fn a_key_that_cannot_be_read_is_found_before_the_training() {
 }
 
 #[test]
+fn a_start_that_is_no_controller() {
+    let place = Place::new();
+    assert!(place.refused("train-family --out a --start-from Bob").contains("adult"));
+    assert!(!place.path("a").exists());
+}
+
+#[test]
 fn an_unknown_lung() {
     let place = Place::new();
     assert!(place.refused("collect --out a.parquet --bench Bob").contains("R20C20"));

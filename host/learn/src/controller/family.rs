@@ -29,6 +29,8 @@ const VALIDATION: (usize, u32) = (12, 6);
 /// Norm of a shard's gradient, in medians of all shards, from which it counts no more: that of a loop close to instability would
 /// outweigh all others.
 const MOST_OF_MEDIAN: f32 = 3.0;
+/// Part of the rate's schedule that is over when trained weights are the start: the full rate would lose what they know.
+const WARM_PROGRESS: f32 = 0.5;
 /// Number of the random stream for validation; training uses the numbers of its steps.
 const VALIDATION_STREAM: u64 = 1 << 62;
 
@@ -47,6 +49,8 @@ pub struct FamilyTraining {
     config: FamilyConfig,
     base: Residual,
     models: FamilyModels,
+    /// Part of the rate's schedule that is over at the start.
+    progress: f32,
     courses: Vec<Courses>,
     tapes: Tapes<ClosedLoopTape>,
     base_score: f64,
@@ -54,7 +58,7 @@ pub struct FamilyTraining {
 }
 
 impl FamilyTraining {
-    /// Prepares the training of the residual of `spec`, from `warm` parameters or from scratch.
+    /// Prepares the training of the residual of `spec`, from `warm` parameters, those of a trained network, or from scratch.
     ///
     /// # Errors
     /// A specification that cannot be built.
@@ -75,7 +79,8 @@ impl FamilyTraining {
             parameters,
         };
         let (courses, tapes) = (Vec::new(), Tapes::new());
-        let mut training = Self { config, base, models, courses, tapes, base_score: 0.0, state };
+        let progress = if warm.is_some() { WARM_PROGRESS } else { 0.0 };
+        let mut training = Self { config, base, models, progress, courses, tapes, base_score: 0.0, state };
         training.base_score = training.validate(&vec![0.0; Network::PARAMETERS]);
         training.keep_best();
         Ok(training)
@@ -185,7 +190,8 @@ impl Stepwise for FamilyTraining {
         let (scores, mut gradients): (Vec<f64>, Vec<Vec<f32>>) = self.on_courses().into_iter().unzip();
         gradients.extend(self.on_plateaus());
         let Self { config, state, .. } = self;
-        let progress = state.iteration as f32 / config.iterations as f32;
+        let done = state.iteration as f32 / config.iterations as f32;
+        let progress = self.progress + (1.0 - self.progress) * done;
         state.adam.step(&mut state.parameters, &together(&gradients), progress);
         state.iteration += 1;
         mean(&scores).exp()
@@ -270,6 +276,10 @@ mod tests {
     use shared::control::pid::PidGains;
 
     fn training(iterations: usize) -> FamilyTraining {
+        training_from(iterations, None)
+    }
+
+    fn training_from(iterations: usize, warm: Option<&[f32]>) -> FamilyTraining {
         let spec = ResidualSpec {
             period_us: 10_000,
             gains: PidGains { p: 1.0, i: 20.0, d: 0.0 },
@@ -285,7 +295,25 @@ mod tests {
         let model = Model::new(Architecture::Unit(units), &parameters);
         let models = FamilyModels { trained_on: model.clone(), held_out: model };
         let config = FamilyConfig { iterations, batch: 64, validate_every: 30, ..FamilyConfig::default() };
-        FamilyTraining::new(spec, models, config, None).unwrap()
+        FamilyTraining::new(spec, models, config, warm).unwrap()
+    }
+
+    #[test]
+    fn trained_weights_are_a_start_that_few_gentle_steps_keep() {
+        let mut first = training(120);
+        while first.advance().is_some() {}
+        let (best, trained) = first.state.best.clone();
+        let mut second = training_from(30, Some(&trained));
+        assert!((second.state.best.0 - best).abs() < 1e-9, "it starts where the first training ended");
+        second.advance();
+        let moved = |from: &[f32], to: &[f32]| {
+            from.iter().zip(to).map(|(from, to)| (from - to).abs()).fold(0.0, f32::max)
+        };
+        // Adam moves a weight by about the rate in a step; from the middle of its schedule on, that is a fifth of the full one.
+        let most = 30.0 * 0.25 * second.config.adam.rate;
+        let by = moved(&trained, &second.state.parameters);
+        assert!(by > 0.0 && by < most, "{by}, {most}");
+        assert!(second.finish().unwrap().validation <= best);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::features::FeatureSpec;
 use shared::control::pid::{Pid, PidGains};
-use shared::control::residual::{ResidualError, ResidualSpec};
+use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 use shared::control::{COMMAND_MAX, Controller};
 use shared::device::KNOWN_GOOD;
 
@@ -68,6 +68,9 @@ pub struct FamilyRun {
     pub fit: FitConfig,
     /// Training; its range of noise follows from the recordings.
     pub train: FamilyConfig,
+    /// Parameters of a trained network to start from: see [`Self::start_from`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start: Option<Vec<f32>>,
 }
 
 impl Default for FamilyRun {
@@ -87,6 +90,7 @@ impl Default for FamilyRun {
             // All breaths in every gradient step: a unit has few numbers and many breaths.
             fit: FitConfig { epochs: 300, batch: 1024, adam, ..FitConfig::default() },
             train: FamilyConfig::default(),
+            start: None,
         }
     }
 }
@@ -116,6 +120,20 @@ impl FamilyRun {
         run.collect.pips.clone_from(&family.pips);
         run.collect.prescriptions = (!prescriptions.are_listed()).then(|| prescriptions.clone());
         run
+    }
+
+    /// Starts from a controller that was trained for another family, over the PID under its network.
+    ///
+    /// # Errors
+    /// A controller with other features, another control period or another authority.
+    pub fn start_from(&mut self, controller: &Residual) -> Result<(), PipelineError> {
+        let gains = controller.spec().gains;
+        if *controller.spec() != (ResidualSpec { gains, ..self.residual() }) {
+            return Err(PipelineError::Start);
+        }
+        self.gains = gains;
+        self.start = Some(controller.network().parameters().copied().collect());
+        Ok(())
     }
 
     /// Records, fits and trains.
@@ -167,7 +185,8 @@ impl FamilyRun {
     ) -> Result<TrainedOnce, PipelineError> {
         let config =
             FamilyConfig { noise: noise(units), seed: seeds::training(self.seed, 0), ..self.train.clone() };
-        let training = FamilyTraining::new(self.residual(), self.models(units, nominal), config, None)?;
+        let models = self.models(units, nominal);
+        let training = FamilyTraining::new(self.residual(), models, config, self.start.as_deref())?;
         train(training, format!("family {}", family.name), self.seed, folder, progress)
     }
 
@@ -311,6 +330,7 @@ mod tests {
     use super::*;
     use crate::simulator::open_loop::open_loop;
     use crate::simulator::unit::PER_UNIT;
+    use shared::control::network::Network;
     use ventilator::collect::IN_A_ROW;
 
     #[test]
@@ -321,6 +341,17 @@ mod tests {
         assert_eq!(gains(text), FamilyRun::default().gains);
         let soft = gains(&format!("{text}[soft_pid]\np = 1\ni = 2\nd = 0"));
         assert_eq!(soft, PidGains { p: 1.0, i: 2.0, d: 0.0 });
+    }
+
+    #[test]
+    fn a_start_brings_its_network_and_the_pid_under_it_and_must_see_the_same() {
+        let mut run = FamilyRun::default();
+        let neonate = crate::controller::shipped::residual("neonate").unwrap();
+        run.start_from(&neonate).unwrap();
+        assert_eq!((run.gains, run.start.unwrap().len()), (neonate.spec().gains, Network::PARAMETERS));
+        let weak = ResidualSpec { authority: 50.0, ..*neonate.spec() };
+        let weak = Residual::new(weak, neonate.network().clone()).unwrap();
+        assert!(matches!(FamilyRun::default().start_from(&weak), Err(PipelineError::Start)));
     }
 
     /// Open-loop distance to the true pressure on fresh breaths of the first units, breaths after a change of settings included.

@@ -221,6 +221,11 @@ pub enum PipelineError {
         "the configuration asks for a controller of the architecture {0}, but another one was to be trained"
     )]
     Architecture(&'static str),
+    /// A training for a family cannot start from this controller.
+    #[error(
+        "the controller to start from has other features, another control period or another authority than those that are trained for a family"
+    )]
+    Start,
     /// No simulator to train on was given.
     #[error("name at least one simulator to train on")]
     NoSimulator,
