@@ -197,6 +197,8 @@ impl<R: RowSource> RowSource for Tidy<R> {
     }
 
     fn disorder(&self) -> Disorder {
-        Disorder { heads: self.source.disorder().heads, ..self.disorder }
+        let mut disorder = self.disorder;
+        disorder.add(self.source.disorder());
+        disorder
     }
 }

@@ -10,7 +10,7 @@ mod reader;
 use serde::Serialize;
 
 pub use mark::PhaseMark;
-pub use reader::{EventFault, EventReader};
+pub use reader::{EventFault, EventReader, is_logged};
 
 /// Units of a pressure per cmH2O: the standard counts tenths.
 pub const PER_CMH2O: f64 = 10.0;

@@ -1,4 +1,6 @@
-//! Reads events from a JSON array or from JSON lines, in bounded memory.
+//! Reads events from a JSON array, from JSON lines or from the log of `pirds_logger`, in bounded memory.
+//!
+//! The log has a line for each event: the second of its arrival, and its fields with colons between them.
 
 use std::io::{self, BufRead};
 
@@ -32,8 +34,6 @@ pub enum EventFault {
 #[derive(Debug)]
 pub struct EventReader<R> {
     from: R,
-    /// Bytes read so far.
-    position: u64,
     /// The line, counted from 1.
     line: u64,
     /// Whether an array was opened and not closed.
@@ -44,12 +44,7 @@ pub struct EventReader<R> {
 impl<R: BufRead> EventReader<R> {
     /// A reader at the start of a file.
     pub fn new(from: R) -> Self {
-        Self { from, position: 0, line: 1, within_array: false, text: Vec::new() }
-    }
-
-    /// Number of bytes read so far.
-    pub fn position(&self) -> u64 {
-        self.position
+        Self { from, line: 1, within_array: false, text: Vec::new() }
     }
 
     /// The next event; none at the end of the file.
@@ -57,19 +52,26 @@ impl<R: BufRead> EventReader<R> {
     /// # Errors
     /// A file that cannot be read, or content that is not an event, with its line.
     pub fn next_event(&mut self) -> Result<Option<Event>, EventFault> {
-        if !self.find()? {
-            return Ok(None);
-        }
+        let Some(first) = self.find()? else { return Ok(None) };
         let line = self.line;
-        self.collect()?;
-        event(&self.text).map(Some).map_err(|reason| EventFault::Line { line, reason })
+        self.text.clear();
+        self.text.push(first);
+        let event = if first == b'{' {
+            self.collect()?;
+            event(&self.text)
+        } else {
+            self.collect_line()?;
+            logged(&String::from_utf8_lossy(&self.text))
+        };
+        event.map(Some).map_err(|reason| EventFault::Line { line, reason })
     }
 
-    /// Goes to the start of the next event, which it takes; false at the end of the file.
-    fn find(&mut self) -> Result<bool, EventFault> {
+    /// Goes to the start of the next event and takes its first byte; none at the end of the file.
+    fn find(&mut self) -> Result<Option<u8>, EventFault> {
         while let Some(byte) = self.byte()? {
             match byte {
-                b'{' => return Ok(true),
+                b'{' => return Ok(Some(byte)),
+                byte if byte.is_ascii_digit() && !self.within_array => return Ok(Some(byte)),
                 b'[' if !self.within_array => self.within_array = true,
                 b']' if self.within_array => self.within_array = false,
                 b',' => {}
@@ -78,8 +80,7 @@ impl<R: BufRead> EventReader<R> {
                 byte if byte.is_ascii_whitespace() => {}
                 other => {
                     return Err(self.fault(format!(
-                        "`{}` is not the start of an event such as {{\"event\": \"M\", ...}}: remove it; \
-                         a logger's own file with colons is not JSON: get the JSON from its web service",
+                        "`{}` is not the start of an event such as {{\"event\": \"M\", ...}}: remove it",
                         char::from(other).escape_default()
                     )));
                 }
@@ -90,24 +91,27 @@ impl<R: BufRead> EventReader<R> {
                 self.fault("the file ends before the `]` of its array: copy it again, or add it".into())
             );
         }
-        Ok(false)
+        Ok(None)
     }
 
-    /// Takes the rest of an event.
+    /// Takes the rest of a line.
+    fn collect_line(&mut self) -> Result<(), EventFault> {
+        let line = self.line;
+        while let Some(byte) = self.byte()?.filter(|byte| *byte != b'\n') {
+            self.add(byte, line)?;
+        }
+        Ok(())
+    }
+
+    /// Takes the rest of an object.
     fn collect(&mut self) -> Result<(), EventFault> {
-        self.text.clear();
-        self.text.push(b'{');
         let (line, mut depth, mut quoted, mut escaped) = (self.line, 1, false, false);
         while depth > 0 {
             let Some(byte) = self.byte()? else {
                 let reason = "the file ends within this event: copy it again, or remove the event".to_owned();
                 return Err(EventFault::Line { line, reason });
             };
-            if self.text.len() == MOST_BYTES {
-                let reason = format!("the event has more than {MOST_BYTES} bytes: close its `}}`");
-                return Err(EventFault::Line { line, reason });
-            }
-            self.text.push(byte);
+            self.add(byte, line)?;
             match byte {
                 _ if escaped => escaped = false,
                 b'\\' if quoted => escaped = true,
@@ -117,6 +121,17 @@ impl<R: BufRead> EventReader<R> {
                 _ => {}
             }
         }
+        Ok(())
+    }
+
+    /// Adds a byte to an event that began in this line.
+    fn add(&mut self, byte: u8, line: u64) -> Result<(), EventFault> {
+        if self.text.len() == MOST_BYTES {
+            let reason =
+                format!("the event has more than {MOST_BYTES} bytes: close its `}}` or end its line");
+            return Err(EventFault::Line { line, reason });
+        }
+        self.text.push(byte);
         Ok(())
     }
 
@@ -138,7 +153,6 @@ impl<R: BufRead> EventReader<R> {
         };
         if let Some(byte) = byte {
             self.from.consume(1);
-            self.position += 1;
             self.line += u64::from(byte == b'\n');
         }
         Ok(byte)
@@ -149,6 +163,36 @@ impl<R: BufRead> EventReader<R> {
     }
 }
 
+/// Whether a line is one of a logger's file.
+pub fn is_logged(line: &str) -> bool {
+    logged(line).is_ok()
+}
+
+/// The event in a line of a logger's file; otherwise what is wrong.
+fn logged(line: &str) -> Result<Event, String> {
+    let (_, fields) = line.trim().split_once(':').unwrap_or_default();
+    let fields: Vec<&str> = fields.splitn(6, ':').collect();
+    let read = match fields[..] {
+        ["M", kind, location, number, ms, value] => logged_reading([kind, location, number, ms, value]),
+        ["E", kind, ms, ref text @ ..] if kind.len() == 1 => {
+            ms.parse().ok().map(|ms| meta(kind, ms, text.join(":").trim_matches('"')))
+        }
+        [event, kind, ..] if event != "M" && event.len() == 1 && kind.len() == 1 => Some(other(event, kind)),
+        _ => None,
+    };
+    read.ok_or_else(|| {
+        "this line of a log is no event, such as 1591668735:M:D:A:0:263923:50: remove it".to_owned()
+    })
+}
+
+fn logged_reading([kind, location, number, ms, value]: [&str; 5]) -> Option<Event> {
+    let letter = |text: &str| text.parse::<char>().ok();
+    let sensor = Sensor { kind: letter(kind)?, location: letter(location)?, number: number.parse().ok()? };
+    let time = ms.parse::<i64>().ok()?;
+    let ms = u32::try_from(time.unsigned_abs()).ok()?;
+    Some(Event::Measurement(Measurement { sensor, ms, value: value.parse().ok()?, beyond_range: time < 0 }))
+}
+
 /// The event of a JSON object; otherwise what is wrong.
 fn event(text: &[u8]) -> Result<Event, String> {
     let fields: Map<String, Value> =
@@ -156,23 +200,30 @@ fn event(text: &[u8]) -> Result<Event, String> {
     match word(&fields, "event")? {
         "M" => measurement(&fields).map(Event::Measurement),
         "E" if word(&fields, "type")? == "M" => {
-            let ms = time(&fields)?.0;
-            let mark = fields.get("buff").and_then(Value::as_str).and_then(|text| text.parse().ok());
-            Ok(mark.map_or_else(
-                || Event::Other("messages".to_owned()),
-                |mark: PhaseMark| Event::Phase(ms, mark),
-            ))
+            let text = fields.get("buff").and_then(Value::as_str).unwrap_or_default();
+            Ok(meta("M", time(&fields)?.0, text))
         }
-        other => {
-            let kind = fields.get("type").and_then(Value::as_str).unwrap_or("?");
-            let name = match other {
-                "A" => format!("assertion {kind}"),
-                "E" => format!("meta event {kind}"),
-                other => format!("unknown event {other}"),
-            };
-            Ok(Event::Other(name.chars().take(NAME_CHARS).collect()))
-        }
+        event => Ok(other(event, fields.get("type").and_then(Value::as_str).unwrap_or("?"))),
     }
+}
+
+/// A meta event with its text, which may be the mark of a phase.
+fn meta(kind: &str, ms: u32, text: &str) -> Event {
+    match text.parse::<PhaseMark>() {
+        Ok(mark) if kind == "M" => Event::Phase(ms, mark),
+        _ if kind == "M" => Event::Other("messages".to_owned()),
+        _ => other("E", kind),
+    }
+}
+
+/// An event that is no reading, by its name.
+fn other(event: &str, kind: &str) -> Event {
+    let name = match event {
+        "A" => format!("assertion {kind}"),
+        "E" => format!("meta event {kind}"),
+        event => format!("unknown event {event}"),
+    };
+    Event::Other(name.chars().take(NAME_CHARS).collect())
 }
 
 fn measurement(fields: &Map<String, Value>) -> Result<Measurement, String> {
@@ -243,6 +294,18 @@ mod tests {
             assert_eq!(read(&text).unwrap(), [reading(), reading()], "{text}");
         }
         assert!(read("").unwrap().is_empty() && read("[]").unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_line_of_a_logger_is_an_event() {
+        let log = "1593299588:M:D:A:0:19:-12\r\n1593299588:E:C:19:\"Sat Jun 27 23:13:08 2020\"\n1593299588:M:D:A:0:19:-12";
+        let events = read(log).unwrap();
+        assert_eq!(events, [reading(), Event::Other("meta event C".to_owned()), reading()]);
+        assert!(is_logged("1593299588:M:D:A:0:19:-12") && !is_logged("10:00:05,1") && !is_logged("5,1"));
+        let Err(EventFault::Line { line, reason }) = read("1:M:D:A:0:19:5\n1:M:D:A:0:1") else {
+            panic!("it was read")
+        };
+        assert!(line == 2 && reason.contains("remove it"), "{line} {reason}");
     }
 
     #[test]

@@ -6,9 +6,10 @@ mod survey;
 #[cfg(test)]
 mod tests;
 
-use std::fs::File;
-use std::io::{BufReader, ErrorKind};
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use progress::Progress;
 
@@ -17,6 +18,7 @@ use self::survey::{Survey, survey};
 use super::account::ImportSummary;
 use super::inputs::Inputs;
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
+use super::table::text::Text;
 use super::{import_rows, same_period};
 use crate::pirds::{EventFault, EventReader};
 use crate::recording::DatasetError;
@@ -66,12 +68,13 @@ fn layout(surveys: &[Survey]) -> TableLayout {
     }
 }
 
-fn open(path: &Path) -> Result<EventReader<BufReader<File>>, DatasetError> {
-    let file = File::open(path).map_err(|source| match source.kind() {
-        ErrorKind::NotFound => DatasetError::Missing(path.to_owned()),
-        _ => DatasetError::Read { path: path.to_owned(), source },
-    })?;
-    Ok(EventReader::new(BufReader::with_capacity(BUFFER, file)))
+/// The events of a file.
+type Events = EventReader<BufReader<Box<dyn Read + Send>>>;
+
+/// Opens a file; its events, and the number of bytes read so far.
+fn open(path: &Path) -> Result<(Events, Arc<AtomicU64>), DatasetError> {
+    let Text { reader, bytes } = Text::open(path)?;
+    Ok((EventReader::new(BufReader::with_capacity(BUFFER, reader)), bytes))
 }
 
 fn faulty(path: &Path, fault: EventFault) -> DatasetError {

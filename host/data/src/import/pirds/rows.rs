@@ -1,22 +1,22 @@
 //! Second pass through a PIRDS file: a row for each reading of the airway pressure.
 
-use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::survey::{FlowSensors, Survey};
-use super::{faulty, open};
+use super::{Events, faulty, open};
 use crate::identity::TestRun;
 use crate::import::map::{QUANTITIES, Quantity};
-use crate::import::rows::{Fields, RowSource, TableRow, index_of};
-use crate::pirds::{Event, EventReader, Measurement, PER_CMH2O, PER_LITRE_PER_SECOND, PhaseMark};
+use crate::import::rows::{Disorder, Fields, RowSource, TableRow, index_of};
+use crate::pirds::{Event, Measurement, PER_CMH2O, PER_LITRE_PER_SECOND, PhaseMark};
 use crate::recording::{DatasetError, INSPIRATION};
 
 /// The rows of a file.
-#[derive(Debug)]
 pub(super) struct EventRows<'a> {
     path: PathBuf,
-    reader: EventReader<BufReader<File>>,
+    reader: Events,
+    bytes: Arc<AtomicU64>,
     survey: &'a Survey,
     /// Index of the file's group.
     group: Option<u32>,
@@ -28,6 +28,8 @@ pub(super) struct EventRows<'a> {
     /// The reading of the pressure whose row is not complete: a flow of the same time may follow.
     open: Option<(u32, TableRow)>,
     last_breath: Option<u32>,
+    /// Readings of the pressure that were there before.
+    repeated: usize,
 }
 
 /// The latest reading of a flow, and one that belongs to the next row.
@@ -39,15 +41,18 @@ struct LatestFlow {
 
 impl<'a> EventRows<'a> {
     pub(super) fn open(path: &Path, survey: &'a Survey) -> Result<Self, DatasetError> {
+        let (reader, bytes) = open(path)?;
         Ok(Self {
             path: path.to_owned(),
-            reader: open(path)?,
+            reader,
+            bytes,
             group: None,
             phase: None,
             ambient: survey.ambient.map_or(0, |(_, median)| median),
             flows: [LatestFlow::default(); 2],
             open: None,
             last_breath: None,
+            repeated: 0,
             survey,
         })
     }
@@ -71,6 +76,13 @@ impl<'a> EventRows<'a> {
             if of_open_row { latest.now = value } else { latest.next = Some(value) }
         }
         if sensor != self.survey.pressure {
+            return None;
+        }
+        // A writer that repeats each event does so before the flow of the same time.
+        let again =
+            |(open, row): (u32, TableRow)| open == ms && row.get(Quantity::Pressure) == self.relative(value);
+        if self.open.is_some_and(again) {
+            self.repeated += 1;
             return None;
         }
         let complete = self.complete();
@@ -137,7 +149,11 @@ impl RowSource for EventRows<'_> {
     }
 
     fn position(&self) -> u64 {
-        self.reader.position()
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    fn disorder(&self) -> Disorder {
+        Disorder { repeated: self.repeated, ..Disorder::default() }
     }
 
     fn unused(&self) -> std::collections::BTreeMap<String, usize> {

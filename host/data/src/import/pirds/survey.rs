@@ -109,7 +109,7 @@ impl Readings {
 /// # Errors
 /// A file that cannot be read, a line that is not an event, no usable pressure sensor, or a request to stop.
 pub(super) fn survey(path: &Path, progress: &Progress<'_>) -> Result<Survey, DatasetError> {
-    let mut reader = open(path)?;
+    let (mut reader, _) = open(path)?;
     let mut events = 0_usize;
     let (mut sensors, mut unused, mut phases) = (BTreeMap::<Sensor, Readings>::new(), Unused::new(), 0);
     while let Some(event) = reader.next_event().map_err(|fault| faulty(path, fault))? {

@@ -2,8 +2,11 @@
 
 use std::fmt::Write;
 use std::fs;
+use std::io::Write as _;
 use std::sync::atomic::AtomicBool;
 
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use proptest::prelude::*;
 
 use super::*;
@@ -86,6 +89,46 @@ fn breaths_without_marks_are_found_by_the_flow_or_else_by_the_pressure() {
 }
 
 #[test]
+fn encodings_compression_and_the_log_of_a_logger_do_not_matter() {
+    let text = monitored(gauge, true);
+    let (expected, _) = imported(&text).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let [events, out] = ["monitor.json", "a.parquet"].map(|name| folder.path().join(name));
+    let mut packed = GzEncoder::new(Vec::new(), Compression::default());
+    packed.write_all(text.as_bytes()).unwrap();
+    let utf16 = std::iter::once(0xfeff).chain(text.encode_utf16()).flat_map(u16::to_le_bytes);
+    let mut log = String::new();
+    for ms in (10..60_000).step_by(20) {
+        let (p, q) = breath(ms, if (ms / 3000) % 2 == 0 { 15.0 } else { 30.0 });
+        writeln!(log, "1593299588:M:D:A:0:{ms}:{}", (10.0 * p).round()).unwrap();
+        writeln!(log, "1593299588:M:F:A:0:{ms}:{}", (60_000.0 * q).round()).unwrap();
+    }
+    for content in
+        [format!("\u{feff}{text}").into_bytes(), utf16.collect(), packed.finish().unwrap(), log.into_bytes()]
+    {
+        fs::write(&events, content).unwrap();
+        let summary = import_pirds(std::slice::from_ref(&events), &out, &Progress::silent()).unwrap();
+        assert_eq!(summary, expected);
+    }
+}
+
+#[test]
+fn an_event_that_is_there_twice_counts_once() {
+    let (expected, once) = imported(&monitored(gauge, true)).unwrap();
+    // Each event at once, and each pair of them.
+    let lines: Vec<String> = monitored(gauge, true).lines().skip(1).map(str::to_owned).collect();
+    let events = &lines[..lines.len() - 1];
+    let each: Vec<_> = events.iter().flat_map(|event| [event.as_str(); 2]).collect();
+    let pairs: Vec<_> = events.chunks(2).flat_map(|pair| [pair.concat(), pair.concat()]).collect();
+    for text in [each.join("\n"), pairs.join("\n")] {
+        let (summary, twice) = imported(&text).unwrap();
+        assert_eq!(summary.disorder.repeated, expected.rows);
+        assert_eq!((summary.kept, summary.rows), (expected.kept, 2 * expected.rows), "{summary}");
+        assert_eq!((twice.pressure, twice.flow_in), (once.pressure.clone(), once.flow_in.clone()));
+    }
+}
+
+#[test]
 fn peep_is_where_the_pressure_rested_before_a_breath_however_late_its_start_is_found() {
     for flows in [true, false] {
         let (_, recording) = imported(&monitored(gauge, flows)).unwrap();
@@ -149,7 +192,8 @@ fn a_bad_line_is_refused_with_its_number_and_what_to_do() {
         ("{\"event\": \"M\"", "ends within"),
         ("{\"event\": M}", "correct the event's JSON"),
         ("{}", "`event`"),
-        ("1591668735:M:P:A:0:263923:10022", "web service"),
+        ("1591668735:M:P:A:0:263923", "remove it"),
+        ("no event", "not the start of an event"),
         (&good.replace("50", "50.5"), "`val` must be a whole number"),
         (&good.replace("50", "5000000000"), "`val`"),
         (&good.replace("\"D\"", "\"Diff\""), "one letter"),
@@ -163,7 +207,7 @@ fn a_bad_line_is_refused_with_its_number_and_what_to_do() {
 
 #[test]
 fn a_file_that_makes_no_recording_is_refused_with_the_reason() {
-    assert!(refusal("").contains("no airway pressure"));
+    assert!(refusal("").contains("is empty") && refusal("[]").contains("no airway pressure"));
     assert!(refusal(&event('F', 'A', 0, 1.0)).contains("no airway pressure"));
     assert!(refusal(&format!("{}{}", gauge(7, 5.0), gauge(7, 5.0))).contains("does not increase"));
     let still: String = (0..500).map(|n| gauge(20 * n, 5.0)).collect();
