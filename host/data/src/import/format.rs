@@ -3,18 +3,16 @@
 use std::io::Read;
 use std::path::Path;
 
-use super::map::{Column, ColumnMap, ColumnSource, MapError, Quantity, Signed, TableLayout};
+use super::map::{Column, ColumnMap, MapError, TableLayout};
 use super::table::text::{Text, name};
-use super::{makair, pb840};
+use super::{makair, pb840, servo_u};
+use crate::pirds::is_logged;
 use crate::recording::DatasetError;
 
 /// Bytes that show the format.
 const START: u64 = 1 << 16;
-/// Lines of them.
+/// Lines among which the names of a table's columns are.
 const LINES: usize = 64;
-/// First line of a SERVO-U's recording, and the one before its table.
-const SERVO_U: &str = "[REC]";
-const SERVO_U_DATA: &str = "[DATA]";
 
 /// How to read files.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,6 +26,8 @@ pub enum Format {
     Makair,
     /// Waveforms of a Puritan Bennett 840.
     Pb840,
+    /// Recordings of a SERVO-U.
+    ServoU,
 }
 
 impl Format {
@@ -41,7 +41,7 @@ impl Format {
         match name {
             "makair" => Some(Self::Makair),
             "pb840" => Some(Self::Pb840),
-            "servo-u" => Some(Self::Table(servo_u())),
+            "servo-u" => Some(Self::ServoU),
             "pirds" => Some(Self::Pirds),
             "kaggle" => table(ColumnMap::kaggle()),
             "respiraworks" => table(ColumnMap::respiraworks()),
@@ -52,28 +52,30 @@ impl Format {
     /// The name of a file's format by its content.
     ///
     /// # Errors
-    /// A file that cannot be read, or is plainly no text.
+    /// A file that cannot be read, is plainly no text, or has no waveforms.
     pub fn name_of(path: &Path) -> Result<&'static str, DatasetError> {
         let mut start = Vec::new();
         let read = |source| DatasetError::Read { path: path.to_owned(), source };
         Text::open(path)?.reader.take(START).read_to_end(&mut start).map_err(read)?;
-        let lines: Vec<String> = start
-            .split(|byte| *byte == b'\n')
-            .map(name)
-            .filter(|line| !line.is_empty())
-            .take(LINES)
-            .collect();
+        let lines: Vec<String> =
+            start.split(|byte| *byte == b'\n').map(name).filter(|line| !line.is_empty()).collect();
         let first = lines.first().map_or("", String::as_str);
-        Ok(if first.starts_with(SERVO_U) {
+        if servo_u::is_other(first) {
+            let reason =
+                "is no recording of a SERVO-U, which begins with [REC]: export waveforms, not trends or logs";
+            return Err(DatasetError::NoTable { path: path.to_owned(), reason });
+        }
+        Ok(if servo_u::is_recording(first) {
             "servo-u"
-        } else if first.starts_with(['[', '{']) {
+        } else if first.starts_with(['[', '{']) || is_logged(first) {
             "pirds"
-        } else if lines.iter().take(LINES).any(|line| makair::is_message(line.as_bytes())) {
+        } else if lines.iter().any(|line| makair::is_message(line.as_bytes())) {
             "makair"
         } else if lines.iter().any(|line| pb840::begins_breath(line)) {
             "pb840"
         } else {
-            ["kaggle", "respiraworks"].into_iter().find(|name| has_columns(name, &lines)).unwrap_or(CSV)
+            let heads = &lines[..lines.len().min(LINES)];
+            ["kaggle", "respiraworks"].into_iter().find(|name| has_columns(name, heads)).unwrap_or(CSV)
         })
     }
 }
@@ -88,26 +90,4 @@ fn has_columns(format: &str, lines: &[String]) -> bool {
         let names: Vec<&str> = line.split(',').map(|name| name.trim().trim_matches('"')).collect();
         layout.columns().filter_map(Column::name).all(|wanted| names.contains(&wanted))
     })
-}
-
-/// A recording of a SERVO-U: settings in the language of the ventilator, then a table with tabs: time of day, phase, pressure (cmH2O),
-/// flow (L/min), volume (mL), trigger.
-fn servo_u() -> TableLayout {
-    let note = "SERVO-U: no valve commands and no set-point are recorded, u_in is 0";
-    let mut layout = TableLayout::of_format("SERVO-U", note, |_| false);
-    let column = |number, factor| {
-        Some(ColumnSource::Column { column: Column::Number(number), factor, offset: 0.0, share: false })
-    };
-    layout.origins[Quantity::Time as usize] = column(1, 1.0);
-    layout.origins[Quantity::Pressure as usize] = column(3, 1.0);
-    for flow in [Quantity::FlowIn, Quantity::FlowOut] {
-        layout.origins[flow as usize] = column(4, 1.0 / 60.0);
-    }
-    TableLayout {
-        separator: b'\t',
-        decimal: b',',
-        after: Some(SERVO_U_DATA),
-        signed: Some(Signed::Flow),
-        ..layout
-    }
 }

@@ -44,6 +44,7 @@ const SHARE: &str = "share";
 /// Pressure units: name and factor to cmH2O.
 const PRESSURES: &[(&str, f64)] = &[
     ("cmH2O", 1.0),
+    ("mmH2O", 0.1),
     ("hPa", 1.019_716),
     ("mbar", 1.019_716),
     ("kPa", 10.197_16),
@@ -277,6 +278,20 @@ pub enum EndBy {
     Found,
 }
 
+/// The decimal mark of a table's numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Decimal {
+    /// The mark: a point or a comma.
+    pub mark: u8,
+    /// Whether the map says so: the other mark can then only be one between thousands.
+    pub sure: bool,
+}
+
+impl Decimal {
+    /// A comma or, where a number has none, a point.
+    pub const EITHER: Self = Self { mark: b',', sure: false };
+}
+
 /// A checked column map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TableLayout {
@@ -289,7 +304,7 @@ pub struct TableLayout {
     /// Column separator.
     pub separator: u8,
     /// Decimal mark.
-    pub decimal: u8,
+    pub decimal: Decimal,
     /// First character of lines that are left out.
     pub comment: Option<u8>,
     /// Lines at the start of the file that are left out.
@@ -300,8 +315,6 @@ pub struct TableLayout {
     pub group: Option<Column>,
     /// The column of runs within a group.
     pub run: Option<Column>,
-    /// Line after which the table begins, if it is not at the start of the file.
-    pub after: Option<&'static str>,
     /// What the columns of the flows contain instead, if that is one column for both.
     pub signed: Option<Signed>,
     /// Quantities, in the order of [`Quantity::ALL`].
@@ -384,6 +397,11 @@ impl ColumnMap {
         }
         let signed = self.signed(&mut origins)?;
         let separator = mark(self.separator)?.unwrap_or(b',');
+        let decimal = match mark(self.decimal)? {
+            Some(mark) => Decimal { mark, sure: true },
+            None if separator == b',' => Decimal { mark: b'.', sure: false },
+            None => Decimal::EITHER,
+        };
         let (valve, target) = (self.u_out.is_some(), self.target.is_some());
         let start = match self.breath {
             Some(_) => StartBy::Number,
@@ -403,11 +421,9 @@ impl ColumnMap {
             note: self.note.clone(),
             period_s,
             separator,
-            // Where a comma separates no cells, it can only be a decimal one.
-            decimal: mark(self.decimal)?.unwrap_or(if separator == b',' { b'.' } else { b',' }),
+            decimal,
             comment: Some(mark(self.comment)?.unwrap_or(b'#')),
             skip_lines: self.skip_lines,
-            after: None,
             breath: breath.map(|label| label.column.clone()),
             group: group.map(|group| group.column.clone()),
             run: group.and_then(|group| group.run.clone()),
@@ -457,10 +473,9 @@ impl TableLayout {
             note: Some(note.to_owned()),
             period_s: None,
             separator: b',',
-            decimal: b'.',
+            decimal: Decimal { mark: b'.', sure: true },
             comment: None,
             skip_lines: 0,
-            after: None,
             breath: None,
             group: None,
             run: None,

@@ -19,6 +19,7 @@ mod propose;
 mod rises;
 mod rows;
 mod saturation;
+mod servo_u;
 mod survey;
 mod table;
 #[cfg(test)]
@@ -41,7 +42,8 @@ pub use self::measured::{files as recorded_files, measured, measured_recording};
 use self::pb840::Pb840Rows;
 pub(crate) use self::pirds::import_pirds;
 pub use self::propose::propose;
-use self::rows::RowSource;
+use self::rows::{NO_ROWS, RowSource};
+use self::servo_u::ServoURows;
 use self::survey::with_breaths;
 use self::table::TableReader;
 use self::tidy::Tidy;
@@ -100,6 +102,10 @@ pub fn import_as(
         Format::Pb840 => {
             let layout = pb840::layout();
             import_format(paths, &layout, out, progress, |_, path| Pb840Rows::open(path))
+        }
+        Format::ServoU => {
+            let layout = servo_u::layout();
+            import_format(paths, &layout, out, progress, |_, path| ServoURows::open(path))
         }
     }
 }
@@ -258,7 +264,7 @@ fn period_us(path: &Path, mut reader: impl RowSource) -> Result<u32, DatasetErro
         }
     }
     if last.is_none() {
-        return Err(DatasetError::NoTable { path: path.to_owned(), reason: "has a header, but no rows" });
+        return Err(DatasetError::NoTable { path: path.to_owned(), reason: NO_ROWS });
     }
     steps.sort_by(f64::total_cmp);
     let median = steps.get(steps.len() / 2).map_or(0, |step| (step * 1e6).round() as u32);

@@ -5,11 +5,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::lines::Lines;
-use super::map::{QUANTITIES, Quantity, StartBy, TableLayout};
+use super::map::{Decimal, QUANTITIES, Quantity, StartBy, TableLayout};
 use super::rows::{RowSource, TableRow};
+use super::table::cells::number;
 use crate::identity::TestRun;
 use crate::recording::DatasetError;
 
+/// What separates the cells: commas, or what a spreadsheet made of them.
+const SEPARATORS: [char; 3] = [',', ';', '\t'];
 /// Period of the rows, s.
 const PERIOD_S: f64 = 0.02;
 /// Marks of the start and the end of a breath, and what its number follows.
@@ -36,7 +39,12 @@ pub(super) fn layout() -> TableLayout {
 
 /// Whether a line begins a breath.
 pub(super) fn begins_breath(line: &str) -> bool {
-    line.split(',').any(|cell| cell.trim() == BEGIN)
+    line.split(SEPARATORS).any(|cell| cell.trim() == BEGIN)
+}
+
+/// Whether a cell of a line is a mark, before which may be what is left of a line that was cut off.
+fn has(line: &str, mark: &str) -> bool {
+    line.split(SEPARATORS).any(|cell| cell.trim_end().ends_with(mark))
 }
 
 /// The rows of a file.
@@ -68,9 +76,9 @@ impl Pb840Rows {
 
     /// Takes the line that begins a breath. A number higher than the next one shows that breaths are missing.
     fn begin(&mut self, line: &str) {
-        let number = line
-            .split_once(NUMBER)
-            .and_then(|(_, number)| number.split(',').next().unwrap_or_default().trim().parse::<u64>().ok());
+        let number = line.split_once(NUMBER).and_then(|(_, number)| {
+            number.split(SEPARATORS).next().unwrap_or_default().trim().parse::<u64>().ok()
+        });
         let Some(number) = number else {
             self.breath = None;
             self.count("breaths without a number");
@@ -85,7 +93,10 @@ impl Pb840Rows {
 
     /// The row in a line of values.
     fn row(&mut self, line: &str) -> Option<TableRow> {
-        let mut cells = line.rsplit(',').map(|cell| cell.trim().parse::<f64>().ok());
+        // Beside other separators a comma is a decimal one.
+        let separators = if line.contains(&SEPARATORS[1..]) { &SEPARATORS[1..] } else { &SEPARATORS };
+        let line = line.trim_end_matches(|c: char| c.is_whitespace() || separators.contains(&c));
+        let mut cells = line.rsplit(separators).map(|cell| number(cell.trim(), Decimal::EITHER));
         let (pressure, flow) = (cells.next()??, cells.next()??);
         if !(flow.abs() <= MOST.0 && pressure.abs() <= MOST.1) {
             return None;
@@ -105,9 +116,9 @@ impl RowSource for Pb840Rows {
         let group = self.lines.group(groups);
         while let Some(line) = self.lines.next()? {
             let line = String::from_utf8_lossy(line).into_owned();
-            if begins_breath(&line) {
+            if has(&line, BEGIN) {
                 self.begin(&line);
-            } else if line.split(',').any(|cell| cell.trim() == END) {
+            } else if has(&line, END) {
                 self.breath = None;
             } else if self.breath.is_none() {
                 self.count("lines outside of breaths");

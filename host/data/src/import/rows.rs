@@ -52,6 +52,8 @@ impl TableRow {
     }
 }
 
+/// What is wrong with a file without rows.
+pub(super) const NO_ROWS: &str = "has no rows, or none that can be read: check its format";
 /// Position of the expiratory valve from which it counts as open, percent.
 const OPEN: f64 = 50.0;
 /// Longest step between consecutive rows, in periods; with a longer one, rows are missing.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::inspirations::{By, Marks};
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
 use super::rises::{Rises, Shown};
-use super::rows::{Between, RowSource, TableRow};
+use super::rows::{Between, NO_ROWS, RowSource, TableRow};
 use crate::recording::DatasetError;
 
 /// Rows from which flows and pressures are judged: the first ones, so that memory is bounded.
@@ -101,7 +101,7 @@ fn survey(path: &Path, mut rows: impl RowSource, period_s: f64) -> Result<Survey
         number += 1;
     }
     if last.is_none() {
-        return Err(DatasetError::NoTable { path: path.to_owned(), reason: "has a header, but no rows" });
+        return Err(DatasetError::NoTable { path: path.to_owned(), reason: NO_ROWS });
     }
     Ok(Survey { by_target, by_valve, by: shown_by(&pressures, &flows) })
 }

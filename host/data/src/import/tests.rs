@@ -207,7 +207,7 @@ fn maps_that_make_no_sense_are_refused_with_what_to_write() {
         let map = ColumnMap::from_toml(&MAP.replace(from, to));
         map.and_then(|map| map.layout()).unwrap_err().to_string()
     };
-    assert!(refused("\"mbar\"", "\"bar\"").contains("cmH2O, hPa, mbar"));
+    assert!(refused("\"mbar\"", "\"bar\"").contains("cmH2O, mmH2O, hPa, mbar"));
     assert!(refused("value = 15", "").contains("[resistance]"));
     assert!(refused("column = \"Paw\"", "value = 3.0").contains("[pressure]"));
     assert!(refused("inspiration_s = 0.5", "inspiration_s = -1").contains("above 0"));

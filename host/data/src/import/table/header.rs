@@ -34,12 +34,9 @@ impl Header {
         let wanted: Vec<&str> = layout.columns().filter_map(Column::name).collect();
         let mut begin = 0;
         let mut first = None;
-        let mut before = layout.after.is_some();
         for (line, text) in (1_u64..).zip(head.split_inclusive(|byte| *byte == b'\n')) {
             let end = begin + text.len();
-            let mark = text.trim_ascii();
-            if before || line <= layout.skip_lines || mark.is_empty() {
-                before &= layout.after.is_some_and(|after| mark != after.as_bytes());
+            if line <= layout.skip_lines || text.trim_ascii().is_empty() {
                 begin = end;
                 continue;
             }

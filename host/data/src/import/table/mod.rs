@@ -73,7 +73,6 @@ impl<'a> TableReader<'a> {
             .delimiter(layout.separator)
             .comment(layout.comment)
             .has_headers(false)
-            .flexible(layout.after.is_some())
             .buffer_capacity(BUFFER)
             .from_reader(Box::new(rest) as Box<dyn Read + Send>);
         let find = |column| header.index(path, column);

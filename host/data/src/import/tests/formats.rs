@@ -158,26 +158,87 @@ fn waveforms_of_a_puritan_bennett_840_give_breaths() {
     assert_eq!(summary.unused["lines without flow and pressure"], 1);
 }
 
+/// Lines of a Puritan Bennett 840 as spreadsheets and cut cables leave them.
 #[test]
-fn a_recording_of_a_servo_u_is_read_in_any_language() {
-    for names in
-        ["Tiempo\tFase\tPresi\u{f3}n\tFlujo\tVolumen\tTriger", "Time\tPhase\tPressure\tFlow\tVolume\tTrigger"]
-    {
-        let mut text = format!(
-            "\u{feff}[REC]\nFecha\t2026-01-28\nDecimal separator\t,\n==========\nPEEP\t6\tcmH2O\n\n[DATA]\n{names}\n"
-        );
-        for row in 0..BREATHS * ROWS {
-            let (flow, pressure) = at(row % ROWS);
-            let (seconds, ms) = (row / 100, row % 100 * 10);
-            let values = format!("{pressure:.1}\t{:.2}\t{}", 60.0 * flow, row % ROWS).replace('.', ",");
-            writeln!(text, "10:00:{seconds:02}:{ms:03}\tInsp.\t{values}\t").unwrap();
-        }
+fn damaged_waveforms_of_a_puritan_bennett_840_lose_no_mark() {
+    let text = pb840("");
+    for content in [
+        text.replace('\n', ",\n"),
+        text.replace("BS, S:", "BS ,  S:").replace(", ", " ,  "),
+        text.replace(", ", ";").replace('.', ","),
+        text.replace(", ", "\t").replace('\n', "\r\n"),
+        // The rest of a breath comes first: more lines than a look at the names of a table takes.
+        "0.50, 6.00\n".repeat(300) + &text,
+    ] {
+        let (_, summary) = recorded("pb840", content.as_bytes());
+        assert_eq!((summary.breaths, summary.rows), (BREATHS, BREATHS * ROWS), "{summary}");
+    }
+    // The rest of a line is lost, and some lines after it: the mark that follows still begins a breath.
+    let begin = text.find("BS, S:101").unwrap();
+    let cut = format!("{}{}", &text[..begin + 500], &text[text.find("BS, S:102").unwrap()..]);
+    let (recording, summary) = recorded("pb840", cut.as_bytes());
+    assert_eq!(summary.breaths, BREATHS, "{summary}");
+    assert!(recording.breaths().iter().all(|rows| rows.len() <= ROWS), "{summary}");
+}
+
+/// A recording of a SERVO-U with these names, decimal mark, separator, and factors of pressure and flow.
+fn servo_u(names: &str, decimal: char, separator: char, factors: (f64, f64)) -> String {
+    let mut text =
+        "[REC]\nFecha\t2026-01-28\nDecimal separator\t,\n==========\nPEEP\t6\tcmH2O\n\n[DATA]\n".to_owned();
+    writeln!(text, "{names}").unwrap();
+    for row in 0..BREATHS * ROWS {
+        let (flow, pressure) = at(row % ROWS);
+        let (seconds, ms) = (row / 100, row % 100 * 10);
+        let (pressure, flow) = (pressure * factors.0, flow * factors.1);
+        let values = format!("{pressure:.2}\t{flow:.3}\t{}", row % ROWS).replace('.', &decimal.to_string());
+        let trigger = if row % ROWS == 0 { "\tFlujo" } else { "" };
+        writeln!(text, "10:00:{seconds:02}:{ms:03}\tInsp.\t{values}{trigger}").unwrap();
+    }
+    text.replace('\t', &separator.to_string())
+}
+
+#[test]
+fn a_recording_of_a_servo_u_is_read_in_any_language_and_unit() {
+    let spanish = "Tiempo\tFase\tPva (cmH2O)\tFLUJO (l/m)\tV (ml)\tTriger";
+    let plain = servo_u(spanish, '.', '\t', (1.0, 60.0));
+    for text in [
+        plain.clone(),
+        servo_u("Time\tPhase\tPressure\tFlow\tVolume\tTrigger", ',', '\t', (1.0, 60.0)),
+        format!("\u{feff}{}", servo_u(spanish, ',', ';', (1.0, 60.0)).replace('\n', "\r\n")),
+        servo_u("Zeit\tPhase\tPaw (kPa)\tFlow (l/s)\tV (ml)", ',', '\t', (0.098_066_5, 1.0)),
+    ] {
         let (recording, summary) = recorded("servo-u", text.as_bytes());
         assert_eq!(summary.breaths_from, "the flow");
-        assert!(summary.breaths >= BREATHS - 2, "{summary}");
+        assert_eq!(summary.rows, BREATHS * ROWS);
+        assert!(summary.breaths >= BREATHS - 2 && summary.unused.is_empty(), "{summary}");
         let rows = recording.inspirations()[1].clone();
         assert!((INSPIRED - 1..=INSPIRED + 1).contains(&rows.len()), "{rows:?}");
-        assert!((recording.pip[rows.start] - 18.0).abs() < 1e-3);
+        assert!((recording.pip[rows.start] - 18.0).abs() < 0.1, "{}", recording.pip[rows.start]);
+        let flow = recording.flow_in.as_deref().unwrap()[rows.start];
+        assert!((flow - 0.8).abs() < 0.06, "{flow}");
+    }
+    // Lines without values are counted, and so is one that was cut off; another recording may follow.
+    let dashes = plain.replacen("6.00\t", "---\t", 3);
+    let cut = &plain[..plain.trim_end().rfind('\t').unwrap()];
+    let (_, summary) = recorded("servo-u", format!("{dashes}\n{cut}").as_bytes());
+    assert_eq!((summary.unused["incomplete lines"], summary.rows), (4, 2 * BREATHS * ROWS - 4));
+    assert_eq!(summary.gaps, 1, "{summary}");
+}
+
+#[test]
+fn what_a_servo_u_cannot_mean_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let [path, out] = ["file.txt", "out.parquet"].map(|name| folder.path().join(name));
+    fs::write(&path, "[TRE]\nFecha\t2026-01-28\n").unwrap();
+    assert!(Format::name_of(&path).unwrap_err().to_string().contains("export waveforms"));
+    let names = "Time\tPhase\tPressure (psi)\tFlow (l/m)\tVolume (ml)";
+    for (text, hint) in [
+        (servo_u(names, '.', '\t', (1.0, 60.0)), "unknown unit"),
+        ("[REC]\nFecha\t2026-01-28\n".to_owned(), "no rows"),
+    ] {
+        fs::write(&path, text).unwrap();
+        let refused = import_as(&Format::ServoU, std::slice::from_ref(&path), &out, &Progress::silent());
+        assert!(refused.unwrap_err().to_string().contains(hint), "{hint}");
     }
 }
 
@@ -189,6 +250,7 @@ fn a_table_of_another_layout_needs_a_map() {
         ("time,paw\n0,5\n".to_owned(), "csv"),
         (kaggle(1), "kaggle"),
         ("[{\"event\":\"M\"}]".to_owned(), "pirds"),
+        ("1593299588:M:P:A:0:26324:10112\n".to_owned(), "pirds"),
     ] {
         fs::write(&path, text).unwrap();
         assert_eq!(Format::name_of(&path).unwrap(), format);
