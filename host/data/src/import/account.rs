@@ -25,6 +25,11 @@ const KILOPASCALS: f64 = 6.0;
 /// Flow that patients hardly reach, L/s.
 const FLOW_USUAL: f64 = 6.0;
 
+/// Correlation of flow and pressure below which the flow seems turned round, and the spread of the pressure from which this is judged,
+/// cmH2O: at a constant pressure, patients lower it as they inhale.
+const TURNED_ROUND: f64 = -0.3;
+const SPREAD: f64 = 2.0;
+
 /// Valves whose saturation is reported.
 const VALVES: [Quantity; 3] = [Quantity::UIn, Quantity::UOut, Quantity::UPsol];
 
@@ -55,6 +60,38 @@ impl Extremes {
     }
 }
 
+/// Sums over pressures and flows.
+#[derive(Debug, Default)]
+struct Sums {
+    rows: f64,
+    pressure: f64,
+    flow: f64,
+    pressure_squared: f64,
+    flow_squared: f64,
+    both: f64,
+}
+
+impl Sums {
+    fn add(&mut self, pressure: f64, flow: f64) {
+        self.rows += 1.0;
+        self.pressure += pressure;
+        self.flow += flow;
+        self.pressure_squared += pressure * pressure;
+        self.flow_squared += flow * flow;
+        self.both += pressure * flow;
+    }
+
+    /// Correlation of flow and pressure, where the pressure changes; otherwise 0.
+    fn correlation(&self) -> f64 {
+        let covariance =
+            |product: f64, a: f64, b: f64| (product - a * b / self.rows.max(1.0)) / self.rows.max(1.0);
+        let pressure = covariance(self.pressure_squared, self.pressure, self.pressure);
+        let flow = covariance(self.flow_squared, self.flow, self.flow);
+        let correlation = covariance(self.both, self.pressure, self.flow) / (pressure * flow).sqrt();
+        if pressure > SPREAD * SPREAD && correlation.is_finite() { correlation } else { 0.0 }
+    }
+}
+
 /// Collects the summary while samples stream by.
 #[derive(Debug, Default)]
 pub(super) struct Account {
@@ -63,6 +100,7 @@ pub(super) struct Account {
     /// Rows at an end of the inspiratory valve's range while the expiratory valve is not open, and all such rows.
     saturated: (usize, usize),
     valves: [Saturation; 3],
+    sums: Sums,
     pressures: Vec<f32>,
     second_differences: Vec<f32>,
     /// Pressures of the two preceding rows without a gap.
@@ -76,6 +114,7 @@ impl Account {
         let pressure = sample.get(Quantity::Pressure);
         self.counts.pressure.add(pressure);
         self.counts.flow.add(sample.flow());
+        self.sums.add(pressure, sample.flow());
         let known = sample.get(Quantity::UIn).is_finite();
         if known {
             self.counts.u_in.add(sample.get(Quantity::UIn));
@@ -137,6 +176,7 @@ impl Account {
             tests,
             period_us,
             breaths_from,
+            correlation: self.sums.correlation(),
             quantum: quantum(&self.pressures),
             noise: noise_of_second_differences(&mut self.second_differences),
             saturated: self.saturated.0 as f64 / self.saturated.1.max(1) as f64,
@@ -185,6 +225,8 @@ pub struct ImportSummary {
     pub pressure: Extremes,
     /// Net flows into the lung, L/s.
     pub flow: Extremes,
+    /// Correlation of flow and pressure, -1..1; 0 if the pressure hardly changes.
+    pub correlation: f64,
     /// Commands of the inspiratory valve, percent.
     pub u_in: Extremes,
     /// Smallest step of the pressure column, cmH2O; 0 if all pressures are equal.
@@ -258,6 +300,11 @@ impl ImportSummary {
         let flow = self.flow.high.max(-self.flow.low);
         if flow > FLOW_USUAL {
             questions.push(format!("flow reaches {flow:.0} L/s: is it in L/min?"));
+        }
+        if self.correlation < TURNED_ROUND {
+            questions.push(
+                "flow is out of the lung while the pressure is high: turn its sign (scale = -1)?".to_owned(),
+            );
         }
         if self.complete_breaths * 2 < self.breaths {
             questions.push(format!(
