@@ -32,6 +32,8 @@ const COMMAND_MOST: f64 = 200.0;
 const BUFFER: usize = 1 << 18;
 /// Lines below the names that may have words, such as units.
 const HEADS_MOST: usize = 3;
+/// Periods between two recordings in a table without times.
+const APART_ROWS: usize = 100;
 /// Rows from which on the order of breaths is judged.
 const ORDER_ROWS: usize = 100;
 /// Rows that a breath has at least, on average.
@@ -52,8 +54,14 @@ pub(super) struct TableReader<'a> {
     group: Option<usize>,
     run: Option<usize>,
     clock: Clock,
+    /// Names of the columns; empty if the table has none.
+    names: Vec<String>,
     rows: usize,
+    /// Lines in place of rows: all of them, and those since the names.
     heads: usize,
+    heads_here: usize,
+    /// Whether the names have just come again, as those of another recording.
+    begins_again: bool,
     breaths: Breaths,
     /// The cells of the group and its run in the previous row.
     last_group: Option<[Vec<u8>; 2]>,
@@ -95,8 +103,11 @@ impl<'a> TableReader<'a> {
             group: layout.group.as_ref().map(find).transpose()?,
             run: layout.run.as_ref().map(find).transpose()?,
             clock: Clock::default(),
+            names: header.names,
             rows: 0,
             heads: 0,
+            heads_here: 0,
+            begins_again: false,
             breaths: Breaths::default(),
             last_group: None,
             current_group: 0,
@@ -115,6 +126,29 @@ impl<'a> TableReader<'a> {
             };
             DatasetError::TableLine { path: self.path.clone(), line, reason }
         })
+    }
+
+    /// Whether the line has the names of the columns: a logger writes them at each start.
+    fn has_names(&self) -> bool {
+        !self.names.is_empty() && self.line.iter().map(text::name).eq(self.names.iter().map(String::as_str))
+    }
+
+    /// The row in the current line; none if it has names or units instead.
+    fn row_or_head(&mut self) -> Result<Option<TableRow>, DatasetError> {
+        let awaits_units = (self.rows == 0 || self.begins_again) && self.heads_here < HEADS_MOST;
+        if awaits_units && self.is_head() {
+            (self.heads, self.heads_here) = (self.heads + 1, self.heads_here + 1);
+            return Ok(None);
+        }
+        match self.row() {
+            Err(_) if self.has_names() => {
+                (self.heads, self.heads_here, self.begins_again) = (self.heads + 1, 0, true);
+                self.rows += APART_ROWS;
+                self.breaths.forget();
+                Ok(None)
+            }
+            row => row.map(Some),
+        }
     }
 
     /// Whether the line has words in place of all numbers, as one of units has.
@@ -244,16 +278,15 @@ impl RowSource for TableReader<'_> {
     }
 
     fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
-        loop {
+        let mut row = loop {
             if !self.advance()? {
                 return Ok(None);
             }
-            if self.rows > 0 || self.heads == HEADS_MOST || !self.is_head() {
-                break;
+            if let Some(row) = self.row_or_head()? {
+                break row;
             }
-            self.heads += 1;
-        }
-        let mut row = self.row()?;
+        };
+        self.begins_again = false;
         row.group = self.group(groups);
         self.rows += 1;
         if let Some(index) = self.breath {

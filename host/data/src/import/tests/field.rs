@@ -308,4 +308,45 @@ fn doubtful_units_are_asked_about() {
     assert!(!asked(FIELD).contains("check "));
     assert!(asked(&FIELD.replace("unit = 'L/min'", "")).contains("is it in L/min?"));
     assert!(asked(&FIELD.replace("'paw'", "'paw'\nunit = 'kPa'")).contains("pressure reaches 204 cmH2O"));
+    assert!(asked(&FIELD.replace("'flow'", "'flow'\nscale = -1")).contains("turn its sign"));
+}
+
+#[test]
+fn names_that_come_again_begin_another_recording() {
+    let without = FIELD.replace("[time]\ncolumn = 'time'\n", "");
+    let rows = lines(plain);
+    let twice = [&rows[..], &[format!("{NAMES}\ns,cmH2O,cmH2O,L/min,-\n")], &rows[..]].concat();
+    for map in [FIELD.to_owned(), format!("period_ms = 20\n{without}")] {
+        let (recording, summary) = import_bytes(&table(NAMES, &twice), &map).unwrap();
+        assert_eq!((summary.disorder.heads, summary.gaps, summary.rows), (2, 1, 2 * rows.len()), "{summary}");
+        assert_eq!((summary.breaths, summary.complete_breaths), (2 * BREATHS, 2 * BREATHS), "{summary}");
+        assert!(recording.breaths().iter().all(|rows| rows.len() <= BREATH + 1));
+    }
+    // Other words among the rows are an error.
+    let words = [&rows[..40], &["suction,,,,\n".to_owned()], &rows[40..]].concat();
+    let refused = import_bytes(&table(NAMES, &words), FIELD).unwrap_err().to_string();
+    assert!(refused.contains("line 42, column `time`: `suction` is not a number"), "{refused}");
+}
+
+#[test]
+fn thousands_may_have_marks() {
+    let marked = |thousands: char, decimal: char| {
+        lines(move |row| {
+            let (time, paw, set, flow, exh) = at(row);
+            let ml = (flow.abs() * 60_000.0).round() as usize;
+            let sign = if flow < 0.0 { "\u{2212}" } else { "" };
+            let grouped = if ml < 1000 {
+                format!("{ml}{decimal}0")
+            } else {
+                format!("{}{thousands}{:03}{decimal}0", ml / 1000, ml % 1000)
+            };
+            let cell = |value: f64| format!("{value:.2}").replace('.', &decimal.to_string());
+            format!("{};{};{};{sign}{grouped};{exh}", cell(time), cell(paw), cell(set))
+        })
+    };
+    let map = format!("separator = ';'\n{}", FIELD.replace("L/min", "mL/min"));
+    for (thousands, decimal) in [('.', ','), (',', '.'), ('\u{a0}', ','), ('\'', '.')] {
+        let map = if decimal == '.' { format!("decimal = '.'\n{map}") } else { map.clone() };
+        sound(&table("time;paw;set;flow;exh", &marked(thousands, decimal)), &map, true);
+    }
 }
