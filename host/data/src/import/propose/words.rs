@@ -150,7 +150,7 @@ pub(super) fn direction(name: &str) -> Option<Quantity> {
 
 /// The unit in a text, of those that a quantity can have.
 pub(super) fn unit(text: &str, meaning: Meaning) -> Option<&'static str> {
-    let text = text.to_lowercase().replace("m h2o", "mh2o").replace('\u{2082}', "2");
+    let text = text.to_lowercase().replace("m h2o", "mh2o").replace("_per_", "/").replace('\u{2082}', "2");
     let within = UNITS.iter().filter(|(spelling, _)| text.contains(spelling));
     let whole = WHOLE_UNITS.iter().filter(|(spelling, _)| text.trim() == *spelling);
     within.chain(whole).map(|(_, unit)| *unit).find(|unit| meaning.fits(unit))
