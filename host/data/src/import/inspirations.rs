@@ -96,11 +96,13 @@ pub(super) struct Phased<R> {
     inspiration: Inspiration,
     group: Option<u32>,
     row: usize,
+    /// Number of starts that lie before the row.
+    started: usize,
 }
 
 impl<R> Phased<R> {
     pub(super) fn new(source: R, marks: Marks) -> Self {
-        Self { source, marks, inspiration: Inspiration::default(), group: None, row: 0 }
+        Self { source, marks, inspiration: Inspiration::default(), group: None, row: 0, started: 0 }
     }
 }
 
@@ -109,7 +111,10 @@ impl<R: RowSource> RowSource for Phased<R> {
         let Some(mut row) = self.source.next(groups)? else { return Ok(None) };
         match &self.marks {
             Marks::Own => {}
-            Marks::Starts(starts) => row.next_breath = starts.binary_search(&self.row).is_ok(),
+            Marks::Starts(starts) => {
+                row.next_breath = starts.get(self.started) == Some(&self.row);
+                self.started += usize::from(row.next_breath);
+            }
             Marks::Phases(by) | Marks::Breaths(by) => {
                 if self.group.replace(row.group) != Some(row.group) {
                     self.inspiration = Inspiration::default();

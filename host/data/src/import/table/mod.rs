@@ -249,8 +249,11 @@ impl<'a> TableReader<'a> {
     fn row(&mut self) -> Result<TableRow, DatasetError> {
         let mut row = TableRow { fields: [0.0; QUANTITIES], next_breath: false, inspires: false, group: 0 };
         let layout = self.layout;
+        // One column for both flows is read once.
+        let read_already = layout.signed.map(|_| Quantity::FlowOut as usize);
         for (quantity, origin) in layout.origins.iter().enumerate() {
             row.fields[quantity] = match origin {
+                _ if Some(quantity) == read_already => 0.0,
                 None => 0.0,
                 Some(ColumnSource::Value(value)) => *value,
                 Some(ColumnSource::Column { factor, offset, share, .. }) => {
