@@ -79,8 +79,8 @@ impl<'a> EventRows<'a> {
             return None;
         }
         // A writer that repeats each event does so before the flow of the same time.
-        let again =
-            |(open, row): (u32, TableRow)| open == ms && row.get(Quantity::Pressure) == self.relative(value);
+        let same = |row: TableRow| row.get(Quantity::Pressure).to_bits() == self.relative(value).to_bits();
+        let again = |(open, row): (u32, TableRow)| open == ms && same(row);
         if self.open.is_some_and(again) {
             self.repeated += 1;
             return None;

@@ -252,8 +252,7 @@ impl<'a> TableReader<'a> {
         // One column for both flows is read once.
         let read_already = layout.signed.map(|_| Quantity::FlowOut as usize);
         for (quantity, origin) in layout.origins.iter().enumerate() {
-            row.fields[quantity] = match origin {
-                _ if Some(quantity) == read_already => 0.0,
+            row.fields[quantity] = match origin.as_ref().filter(|_| Some(quantity) != read_already) {
                 None => 0.0,
                 Some(ColumnSource::Value(value)) => *value,
                 Some(ColumnSource::Column { factor, offset, share, .. }) => {
