@@ -25,6 +25,10 @@ const DEVICE: usize = 12;
 const TAIL: usize = 7;
 /// Position of a closed valve, degrees.
 const CLOSED: f64 = 125.0;
+/// Highest speed of the blower in the firmware's unit; version 1 counts in tens of it, version 2 in hundreds.
+const HIGHEST_SPEED: f64 = 1800.0;
+/// Centilitres per minute in a litre per second.
+const CENTILITRES_PER_MINUTE: f64 = 6000.0;
 /// Phase of an inspiration, without the sub-phase.
 const INSPIRATION: u8 = 1;
 /// Note of the recordings.
@@ -93,6 +97,58 @@ impl Message {
     }
 }
 
+/// What a message about pressures and valves tells. Recordings have all of it but the speed of the blower.
+#[derive(Debug, Clone, Copy)]
+pub struct Telemetry {
+    /// Time of the device, s.
+    pub time_s: f64,
+    /// Whether it is an inspiration.
+    pub inspires: bool,
+    /// Pressure, cmH2O.
+    pub pressure: f64,
+    /// Commanded position of the blower's valve, percent open.
+    pub u_in: f64,
+    /// Commanded position of the patient valve, percent open.
+    pub u_out: f64,
+    /// Commanded speed of the blower, as a share of the highest.
+    pub speed: f64,
+    /// Flows to and from the patient, L/s; the first version knows none.
+    pub flows: Option<[f64; 2]>,
+}
+
+impl Telemetry {
+    fn of(message: &Message) -> Option<Self> {
+        let open = |degrees: u64| 100.0 * (1.0 - (degrees as f64 / CLOSED).min(1.0));
+        // Version 1 adds the sub-phase.
+        let phase = message.number(15, 1)? as u8;
+        let flowing = message.version() > 1;
+        let per_second = |at| Some(message.signed(at)? / CENTILITRES_PER_MINUTE);
+        Some(Self {
+            time_s: message.number(0, 8)? as f64 * 1e-6,
+            inspires: phase >> 4 == INSPIRATION,
+            pressure: message.signed(12)? * 0.1,
+            u_in: open(message.number(17, 1)?),
+            u_out: open(message.number(19, 1)?),
+            speed: message.number(21, 1)? as f64 * if flowing { 100.0 } else { 10.0 } / HIGHEST_SPEED,
+            flows: if flowing { Some([per_second(25)?, per_second(28)?]) } else { None },
+        })
+    }
+}
+
+/// All that the record at `path` tells about pressures, valves and blower, for tests that replay its commands.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn telemetry(path: &Path) -> Result<Vec<Telemetry>, DatasetError> {
+    let mut lines = Lines::open(path)?;
+    let mut all = Vec::new();
+    while let Some(line) = lines.next()? {
+        let message = decoded(line).filter(|message| message.kind() == 'D');
+        all.extend(message.as_ref().and_then(Telemetry::of));
+    }
+    Ok(all)
+}
+
 /// The settings of the breath, cmH2O.
 #[derive(Debug, Clone, Copy)]
 struct Set {
@@ -125,21 +181,17 @@ impl MakairRows {
 
     /// The row in a message about pressures and valves.
     fn row(&mut self, message: &Message) -> Option<TableRow> {
-        let time = message.number(0, 8)? as f64 * 1e-6;
-        let phase = message.number(15, 1)? as u8;
-        // Version 1 adds the sub-phase.
-        let inspires = phase >> 4 == INSPIRATION;
+        let told = Telemetry::of(message)?;
+        let inspires = told.inspires;
         let mut row = TableRow { fields: [0.0; QUANTITIES], next_breath: false, inspires, group: 0 };
-        row.set(Quantity::Time, time);
-        row.set(Quantity::Pressure, message.signed(12)? * 0.1);
+        row.set(Quantity::Time, told.time_s);
+        row.set(Quantity::Pressure, told.pressure);
         row.set(Quantity::Target, if inspires { self.set.plateau } else { self.set.peep });
-        let open = |degrees: u64| 100.0 * (1.0 - (degrees as f64 / CLOSED).min(1.0));
-        row.set(Quantity::UIn, open(message.number(17, 1)?));
-        row.set(Quantity::UOut, open(message.number(19, 1)?));
-        if message.version() > 1 {
-            let per_second = |centilitres: f64| centilitres / (100.0 * 60.0);
-            row.set(Quantity::FlowIn, per_second(message.signed(25)?));
-            row.set(Quantity::FlowOut, per_second(message.signed(28)?));
+        row.set(Quantity::UIn, told.u_in);
+        row.set(Quantity::UOut, told.u_out);
+        if let Some([inward, outward]) = told.flows {
+            row.set(Quantity::FlowIn, inward);
+            row.set(Quantity::FlowOut, outward);
         }
         row.next_breath = self.inspires.replace(inspires) == Some(false) && inspires;
         Some(row)

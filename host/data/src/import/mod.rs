@@ -37,6 +37,7 @@ use self::format::Format;
 use self::inputs::Inputs;
 use self::inspirations::Phased;
 use self::makair::MakairRows;
+pub use self::makair::{Telemetry as MakairTelemetry, telemetry as makair_telemetry};
 use self::map::{Quantity, StartBy, TableLayout};
 pub use self::measured::{files as recorded_files, measured, measured_recording};
 use self::pb840::Pb840Rows;

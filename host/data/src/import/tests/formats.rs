@@ -107,6 +107,20 @@ fn telemetry_of_a_makair_gives_pressures_settings_valves_and_flows() {
 }
 
 #[test]
+fn the_speed_of_the_blower_is_a_share_of_the_highest_in_both_versions() {
+    let folder = tempfile::tempdir().unwrap();
+    for (version, expected) in [(1, 500.0 / 1800.0), (2, 5000.0 / 1800.0)] {
+        let path = folder.path().join(version.to_string());
+        fs::write(&path, makair(version)).unwrap();
+        let told = makair_telemetry(&path).unwrap();
+        // The line that was cut in two is no message.
+        assert_eq!(told.len(), BREATHS * ROWS - 1);
+        assert!(told.iter().all(|row| (row.speed - expected).abs() < 1e-12));
+        assert!(told.iter().all(|row| row.flows.is_some() == (version > 1)));
+    }
+}
+
+#[test]
 fn the_recorded_files_of_makairs_are_whole() {
     let names = ["v1-short-with-errors.record", "v2-a.record", "v2-b.record", "v2-c.record"];
     let Some(paths) = files("makair", &names) else { return };
