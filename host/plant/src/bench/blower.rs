@@ -18,7 +18,9 @@ pub(super) struct Blower {
     drop: f64,
     /// Share of the set speed that is lost per flow, s/L.
     sag: f64,
-    /// Speed as a share of the set one.
+    /// Set speed as a share of that with the stated pressure without flow.
+    set: f64,
+    /// Speed as a share of the same.
     speed: Lag,
 }
 
@@ -29,13 +31,20 @@ impl Blower {
             shut_off,
             drop: config.drop_cmh2o_per_l2_s2,
             sag: config.sag_percent_per_l_per_s / 100.0,
+            set: 1.0,
             speed: Lag::new(config.speed_lag_ms * 1e-3, sub_step_s, 1.0),
         }
     }
 
     /// Moves the rotor by one sub-step under the load of this flow, L/s.
     pub(super) fn advance(&mut self, flow: f64) {
-        self.speed.advance((1.0 - self.sag * flow).max(0.0));
+        self.speed.advance((self.set - self.sag * flow).max(0.0));
+    }
+
+    /// Sets another speed, as a share of the one with the stated pressure; the rotor follows. Only records of machines change it.
+    #[cfg(test)]
+    pub(super) fn set_speed(&mut self, share: f64) {
+        self.set = share;
     }
 
     /// Pressure without flow at the present speed, cmH2O: it grows with the square of the speed.

@@ -4,6 +4,7 @@ mod behaviour;
 mod description;
 mod living;
 mod physics;
+mod records;
 mod sensors;
 
 use super::{Bench, BenchConfig, Truth};
