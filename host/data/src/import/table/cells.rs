@@ -16,9 +16,9 @@ pub(in crate::import) fn number(text: &str, decimal: Decimal) -> Option<f64> {
     let has = |mark| text.as_bytes().contains(&mark);
     let number = match decimal.mark {
         b'.' => text.parse::<f64>().ok(),
-        mark if !has(mark) && !(decimal.sure && has(b'.')) => text.parse().ok(),
         mark if !has(b'.') => text.replace(char::from(mark), ".").parse().ok(),
-        _ => None,
+        mark if has(mark) || decimal.sure => None,
+        _ => text.parse().ok(),
     };
     number.or_else(|| written_out(text, decimal)).filter(|number| number.is_finite())
 }
