@@ -21,7 +21,7 @@ Examples:
   trainer train-family --out out/adult                                       (the shipped adult)
   trainer train-family --out out/neonate --family neonate --ripple 0.4 --margin-price 4 --iterations 16000
                                                                              (the shipped neonate)
-  trainer train-family --out out/blower --family blower --ripple 0.4 --margin-price 4 --iterations 4000
+  trainer train-family --out out/blower --family blower --start-from adult --ripple 0.4 --margin-price 4 --iterations 16000
                                                                              (the shipped blower)
   trainer train-family --family my-machines.toml --units 32 --iterations 3000 --out out/mine
   lab robust --controller out/adult/controller.safetensors

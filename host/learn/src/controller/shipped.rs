@@ -5,7 +5,7 @@
 //! ```text
 //! trainer train-family --family adult --out out/adult
 //! trainer train-family --family neonate --ripple 0.4 --margin-price 4 --iterations 16000 --out out/neonate
-//! trainer train-family --family blower --ripple 0.4 --margin-price 4 --iterations 4000 --out out/blower
+//! trainer train-family --family blower --start-from adult --ripple 0.4 --margin-price 4 --iterations 16000 --out out/blower
 //! trainer export out/adult/controller.safetensors --out host/learn/controllers/adult.bin
 //! trainer export out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
 //! trainer export out/blower/controller.safetensors --out host/learn/controllers/blower.bin
