@@ -1,4 +1,4 @@
-//! The course of a whole breath: smoothed pressure and net flow.
+//! The course of a whole breath: pressure and net flow, as measured and smoothed.
 
 use std::ops::Range;
 
@@ -40,6 +40,8 @@ pub(super) struct Course {
     pub inspiration: usize,
     /// Way from PEEP to the level, cmH2O.
     pub way: f64,
+    /// Pressure, cmH2O, and net flow, L/s, as measured.
+    pub readings: Vec<[f64; 2]>,
     /// Smoothed pressure, cmH2O, and net flow towards the patient, L/s, tick by tick.
     pub pressure: Vec<f64>,
     pub flow: Vec<f64>,
@@ -62,6 +64,7 @@ impl Course {
             period_s: curve.period_s,
             inspiration: curve.pressure.len(),
             way: highest - curve.peep,
+            readings: pressure.iter().zip(flow).map(|(pressure, flow)| [*pressure, *flow]).collect(),
             pressure: averaged(&pressure, reach(curve.period_s)),
             flow: averaged(flow, reach(curve.period_s)),
         })

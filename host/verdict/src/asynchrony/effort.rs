@@ -31,21 +31,9 @@ const STEADY: f64 = 0.02;
 const AGAINST: f64 = 1.0;
 /// Share of a pressure's rise that the inflow may explain, if muscles do the rest.
 const EXPLAINED: f64 = 0.5;
-/// Deviations from their lines that show an effort before a breath: pressure, cmH2O, and flow, L/s (0.5 L/min). Half of the
-/// smallest fall that counts in Chen 2008; triggers are hardly set finer.
-const SIGN_PRESSURE: f64 = 0.2;
-const SIGN_FLOW: f64 = 0.5 / 60.0;
-/// Time of the sign before the breath, and of the line before that, s.
+/// Time in which flow and pressure leave their lines, and of the lines before that, s.
 const SIGN_S: f64 = 0.35;
 const LINE_S: f64 = 0.4;
-/// Share of the strongest expiratory flow up to which a lung has emptied.
-const EMPTIES: f64 = 0.15;
-/// Shares of these times at which a sign is looked for: in a lung that empties, long lines are no straight ones.
-const SCALES: [f64; 3] = [1.0, 0.6, 0.3];
-/// Multiple of the swings of the same expiration that a sign exceeds: heartbeats are as large all the time.
-const BEYOND: f64 = 1.5;
-/// Multiple of a flow's sign up to which noise does not hide it.
-const HIDDEN: f64 = 4.0;
 /// Multiple of the noise that is no sign.
 const NOISES: f64 = 6.0;
 
@@ -125,43 +113,6 @@ pub(super) fn exhales_in_inspiration(course: &Course, noise: Noise) -> bool {
     let most = flow[highest(flow)];
     let rises = flow[top] > flow[bottom] + STEADY * most + NOISES * noise.flow;
     flow[top] <= ENDED * most && !rises && !explains
-}
-
-/// Whether neither pressure nor flow show an effort at the end of the expiration before a breath, although they would.
-pub(super) fn starts_without(before: &Course, noise: Noise) -> bool {
-    let smoothed = noise.smoothed(before.period_s);
-    let from = before.inspiration + before.ticks(OPENING_S);
-    let start = before.flow.len().saturating_sub(before.ticks(SIGN_S));
-    if start < from + before.ticks(LINE_S) {
-        return false;
-    }
-    // A lung that still empties bends every line.
-    let empties = before.flow[start] < -EMPTIES * strongest(before);
-    if empties || NOISES * smoothed.flow > HIDDEN * SIGN_FLOW {
-        return false;
-    }
-    let down: Vec<f64> = before.pressure.iter().map(|p| -p).collect();
-    let shows = |values: &[f64], least: f64| {
-        let end = values.len();
-        let least = least.max(BEYOND * largest_fall(&values[from..end - before.ticks(SIGN_S)]));
-        SCALES.into_iter().any(|scale| {
-            let (line, sign) = (before.ticks(scale * LINE_S), before.ticks(scale * SIGN_S));
-            deviation(&values[end - line - sign..], line, 0).is_some_and(|deviation| deviation >= least)
-        })
-    };
-    let pressure = shows(&down, SIGN_PRESSURE.max(NOISES * smoothed.pressure));
-    let flow = shows(&before.flow, SIGN_FLOW.max(NOISES * smoothed.flow));
-    !pressure && !flow
-}
-
-/// Largest fall of a curve from any of its values to a later one.
-fn largest_fall(values: &[f64]) -> f64 {
-    let mut highest = f64::NEG_INFINITY;
-    let fall = |value: &f64| {
-        highest = highest.max(*value);
-        highest - value
-    };
-    values.iter().map(fall).fold(0.0, f64::max)
 }
 
 /// How far values are above the line through the first `line` of them, at best from the place `least` after those on.

@@ -7,6 +7,7 @@
 
 mod course;
 mod effort;
+mod muscles;
 
 use std::ops::Range;
 
@@ -132,13 +133,11 @@ impl Series<'_> {
             found.push(Asynchrony::DelayedCycling);
         }
         if let Some(before) = self.beside(n, n.wrapping_sub(1)) {
-            if self.is_double(n, before) {
-                found.push(Asynchrony::DoubleTrigger);
-            } else if self.is_early(n, EARLY)
-                && effort::missed(before, self.noise) == 0
-                && effort::starts_without(before, self.noise)
-            {
+            // However early: a double trigger's effort lasts on.
+            if self.is_early(n, EARLY) && muscles::idle(before, course) {
                 found.push(Asynchrony::AutoTrigger);
+            } else if self.is_double(n, before) {
+                found.push(Asynchrony::DoubleTrigger);
             }
         }
         found.into_iter().map(|kind| (course.number, kind)).collect()

@@ -43,6 +43,8 @@ pub struct Case {
     /// Noise (sd) of pressure, cmH2O, and flow, L/s.
     pub noise: (f64, f64),
     pub period_us: u32,
+    /// The heart's oscillation: frequency, Hz, and amplitudes of flow, L/s, and pressure, cmH2O.
+    pub heart: [f64; 3],
 }
 
 impl Case {
@@ -59,6 +61,7 @@ impl Case {
             leak: random.random_range(0.0..0.15),
             noise: (random.random_range(0.01..0.15), random.random_range(0.001..0.015)),
             period_us: [1_000, 5_000, 10_000, 20_000][random.random_range(0..4)],
+            heart: [0.0; 3],
         }
     }
 
@@ -79,15 +82,19 @@ impl Case {
                 (breath, first) = (breath + 1, tick);
             }
             let inspires = tick - first < ticks(self.inspiration_s);
-            let flow =
-                self.advance(&mut lung, inspires, f64::from(tick), efforts) + flow_noise.sample(&mut random);
+            let phase = self.heart[0] * f64::from(tick) * f64::from(self.period_us) * 1e-6;
+            let [_, flow_beat, paw_beat] =
+                self.heart.map(|peak| peak * (std::f64::consts::TAU * phase).sin());
+            let flow = self.advance(&mut lung, inspires, f64::from(tick), efforts)
+                + flow_beat
+                + flow_noise.sample(&mut random);
             let pip = (self.peep + self.drive) as f32;
             recording.push(Row {
                 breath: breath as u32,
                 tick: tick - first,
                 phase: if inspires { INSPIRATION } else { EXPIRATION },
                 target: if inspires { pip } else { self.peep as f32 },
-                pressure: (lung.pressure + paw_noise.sample(&mut random)) as f32,
+                pressure: (lung.pressure + paw_beat + paw_noise.sample(&mut random)) as f32,
                 pip,
                 peep: self.peep as f32,
                 flow_in: Some(flow.max(0.0) as f32),
