@@ -20,12 +20,13 @@ const RELAXES_S: f64 = 0.2;
 pub(super) fn idle(before: &Course, course: &Course) -> bool {
     [SHORTEST_S, course.inspiration_s()]
         .into_iter()
-        .all(|strongest_s| highest(before, course, strongest_s).is_some_and(|pressure| pressure < IDLE))
+        .all(|strongest_s| most(before, course, strongest_s).is_some_and(|pressure| pressure.abs() < IDLE))
 }
 
-/// Highest muscle pressure that an effort with this time of its peak may have, cmH2O: the end of its 95 % interval. It is what the
-/// pressure lacks of resistance, elasticity, drifting flow and leak, in one fit from the rest before the breath to its end.
-fn highest(before: &Course, course: &Course, strongest_s: f64) -> Option<f64> {
+/// Most muscle pressure that an effort with this time of its peak may have, cmH2O: the upper end of its 95 % interval. It is what the
+/// pressure lacks of resistance, elasticity, drifting flow and leak, in one fit from the rest before the breath to its end. It is
+/// far below 0 where an effort of another shape, or a lung of another kind, bends the fit.
+fn most(before: &Course, course: &Course, strongest_s: f64) -> Option<f64> {
     let ticks = course.ticks(AHEAD_S + REST_S);
     let rest = before.flow.len().saturating_sub(ticks).max(before.inspiration)..before.flow.len();
     // The next effort begins before the next breath.

@@ -205,13 +205,16 @@ fn beside_a_heartbeat_most_auto_triggers_are_found() {
     };
     // Strong beats resemble small missed efforts.
     let (sensitivity, wrong) = rates(Asynchrony::AutoTrigger, script);
-    assert!(sensitivity >= 0.75 && wrong <= 0.05, "{sensitivity} {wrong}");
+    assert!(sensitivity >= 0.7 && wrong <= 0.05, "{sensitivity} {wrong}");
 }
 
 #[test]
 fn early_breaths_with_efforts_are_not_auto_triggered() {
     let mut random = ChaCha8Rng::seed_from_u64(5);
-    for (lasts, beats) in [(0.25, false), (0.5, false), (1.0, false), (1.0, true)] {
+    // Heartbeats bend what a coarse recording shows of a stiff airway.
+    for (lasts, beats, most) in
+        [(0.25, false, 0.002), (0.5, false, 0.002), (1.0, false, 0.002), (1.0, true, 0.01)]
+    {
         let (mut wrong, mut checked) = (0, 0);
         for seed in 0..CASES {
             let mut case = Case::draw(&mut random);
@@ -222,7 +225,7 @@ fn early_breaths_with_efforts_are_not_auto_triggered() {
             checked += found.checked;
         }
         println!("{lasts} {beats}: {wrong} of {checked} auto-triggered");
-        assert!(wrong as f64 <= 0.005 * checked as f64, "{lasts} {beats}: {wrong} of {checked}");
+        assert!(wrong as f64 <= most * checked as f64, "{lasts} {beats}: {wrong} of {checked}");
     }
 }
 
