@@ -36,7 +36,7 @@ pub const QUANTITIES: usize = 10;
 
 /// Units of flows, and of a volume as the flow that makes it: name and factor to L/s and L.
 const FLOWS: &[(&str, f64)] = &[("L/s", 1.0), ("L/min", 1.0 / 60.0), ("mL/s", 1e-3), ("mL/min", 1e-3 / 60.0)];
-const VOLUMES: &[(&str, f64)] = &[("L", 1.0), ("mL", 1e-3)];
+pub(super) const VOLUMES: &[(&str, f64)] = &[("L", 1.0), ("mL", 1e-3)];
 
 /// The unit of a command from 0 to 1.
 const SHARE: &str = "share";

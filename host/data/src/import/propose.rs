@@ -1,7 +1,7 @@
 //! Proposes a column map for a table: guesses from names, units and values, each with its reason.
 
 mod columns;
-mod words;
+pub(super) mod words;
 
 use std::fmt::Write as _;
 use std::io::Read;
@@ -98,10 +98,10 @@ fn by_name(columns: &Columns, column: usize) -> Option<Guess> {
         Some(below) => (Some(below), "the line below it"),
         None => (in_name(), "its name"),
     };
-    let told = match (unit, brackets) {
-        (Some(unit), _) => format!("; {source} says {unit}"),
-        (None, Some(other)) => {
-            let own = meaning.own_unit();
+    let unit = unit.map(|(unit, _)| unit);
+    let told = match (unit, brackets, meaning.units()) {
+        (Some(unit), ..) => format!("; {source} says {unit}"),
+        (None, Some(other), [(own, _), ..]) => {
             format!("; `{other}` is no unit known here: if it is one, give `scale`, its factor to {own}")
         }
         _ => String::new(),

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::lines::Lines;
 use super::map::{Decimal, QUANTITIES, Quantity, TableLayout};
+use super::propose::words::{Meaning, bracketed, unit};
 use super::rows::{RowSource, TableRow};
 use super::table::cells::{Clock, number};
 use super::table::text::name;
@@ -21,8 +22,8 @@ const TIME: usize = 0;
 const PRESSURE: usize = 2;
 const FLOW: usize = 3;
 const VOLUME: usize = 4;
-/// Spelling of the flow's unit, and its factor to L/s.
-const LITRES_A_MINUTE: (&str, f64) = ("l/m", 1.0 / 60.0);
+/// Factor of a flow in L/min, its usual unit, to L/s.
+const LITRES_A_MINUTE: f64 = 1.0 / 60.0;
 const NOTE: &str = "SERVO-U: no valve commands and no set-point are recorded, u_in is 0";
 
 /// What the files have.
@@ -71,7 +72,7 @@ impl ServoURows {
             lines: Lines::open(path)?,
             part: Part::Settings,
             separator: '\t',
-            factors: [1.0, LITRES_A_MINUTE.1],
+            factors: [1.0, LITRES_A_MINUTE],
             clock: Clock::default(),
             unused: BTreeMap::new(),
         })
@@ -81,11 +82,12 @@ impl ServoURows {
     fn names(&mut self, line: &str) -> Result<(), DatasetError> {
         self.separator = ['\t', ';', ','].into_iter().find(|mark| line.contains(*mark)).unwrap_or('\t');
         let names: Vec<&str> = line.split(self.separator).collect();
-        let factor = |place: usize, quantity, usual| {
-            unit(names.get(place).unwrap_or(&"")).map_or(Some(usual), |unit| factor_of(&unit, quantity))
+        let factor = |place: usize, meaning, usual| {
+            let text = names.get(place).and_then(|name| bracketed(name));
+            text.map_or(Some(usual), |text| unit(text, meaning).map(|(_, factor)| factor))
         };
-        let pressure = factor(PRESSURE, Quantity::Pressure, 1.0);
-        let flow = factor(FLOW, Quantity::FlowIn, LITRES_A_MINUTE.1);
+        let pressure = factor(PRESSURE, Meaning::Of(Quantity::Pressure), 1.0);
+        let flow = factor(FLOW, Meaning::Flow, LITRES_A_MINUTE);
         let (Some(pressure), Some(flow)) = (pressure, flow) else {
             let reason =
                 "has a pressure or a flow in an unknown unit, below [DATA]: convert it to cmH2O and l/m";
@@ -108,19 +110,6 @@ impl ServoURows {
         row.set_flow(flow * self.factors[1]);
         Some(row)
     }
-}
-
-/// The text in brackets, in lower case.
-fn unit(name: &str) -> Option<String> {
-    let (_, rest) = name.split_once(['(', '['])?;
-    let unit = rest.split([')', ']']).next().unwrap_or_default();
-    Some(unit.to_lowercase().replace('\u{2082}', "2").replace(' ', ""))
-}
-
-/// Factor of a unit to ours; none of an unknown one.
-fn factor_of(unit: &str, quantity: Quantity) -> Option<f64> {
-    let mut known = quantity.units().iter().copied().chain([LITRES_A_MINUTE]);
-    known.find(|(known, _)| known.to_lowercase() == unit).map(|(_, factor)| factor)
 }
 
 impl RowSource for ServoURows {

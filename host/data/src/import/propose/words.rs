@@ -1,10 +1,10 @@
 //! What names and units of columns mean, in the languages of ventilators.
 
-use super::super::map::Quantity;
+use super::super::map::{Quantity, VOLUMES};
 
 /// What a column may be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Meaning {
+pub(in crate::import) enum Meaning {
     Of(Quantity),
     Flow,
     Volume,
@@ -22,25 +22,14 @@ impl Meaning {
         }
     }
 
-    /// Our own unit.
-    pub fn own_unit(self) -> &'static str {
+    /// The units that it can have, our own first, with their factors to that; none for a number of breaths.
+    pub fn units(self) -> &'static [(&'static str, f64)] {
         match self {
-            Self::Of(quantity) => quantity.units()[0].0,
-            Self::Flow => Quantity::FlowIn.units()[0].0,
-            Self::Volume => "L",
-            Self::Breath => "1",
-        }
-    }
-
-    /// Whether the quantity can have a unit.
-    pub fn fits(self, unit: &str) -> bool {
-        let units: &[(&str, f64)] = match self {
             Self::Of(quantity) => quantity.units(),
             Self::Flow => Quantity::FlowIn.units(),
-            Self::Volume => return ["L", "mL"].contains(&unit),
-            Self::Breath => return false,
-        };
-        units.iter().any(|(known, _)| *known == unit)
+            Self::Volume => VOLUMES,
+            Self::Breath => &[],
+        }
     }
 }
 
@@ -148,16 +137,17 @@ pub(super) fn direction(name: &str) -> Option<Quantity> {
     DIRECTIONS.iter().find(has).map(|(_, direction)| *direction)
 }
 
-/// The unit in a text, of those that a quantity can have.
-pub(super) fn unit(text: &str, meaning: Meaning) -> Option<&'static str> {
+/// The unit in a text, of those that a quantity can have, and its factor to our own.
+pub(in crate::import) fn unit(text: &str, meaning: Meaning) -> Option<(&'static str, f64)> {
     let text = text.to_lowercase().replace("m h2o", "mh2o").replace("_per_", "/").replace('\u{2082}', "2");
     let within = UNITS.iter().filter(|(spelling, _)| text.contains(spelling));
     let whole = WHOLE_UNITS.iter().filter(|(spelling, _)| text.trim() == *spelling);
-    within.chain(whole).map(|(_, unit)| *unit).find(|unit| meaning.fits(unit))
+    let known = |spelled: &str| meaning.units().iter().find(|(unit, _)| *unit == spelled).copied();
+    within.chain(whole).find_map(|(_, unit)| known(unit))
 }
 
 /// The text in brackets, which should be a unit.
-pub(super) fn bracketed(name: &str) -> Option<&str> {
+pub(in crate::import) fn bracketed(name: &str) -> Option<&str> {
     let (_, rest) = name.split_once(['(', '['])?;
     rest.split([')', ']']).next().filter(|unit| !unit.is_empty())
 }

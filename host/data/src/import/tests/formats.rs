@@ -204,7 +204,7 @@ fn servo_u(names: &str, decimal: char, separator: char, factors: (f64, f64)) -> 
         let (flow, pressure) = at(row % ROWS);
         let (seconds, ms) = (row / 100, row % 100 * 10);
         let (pressure, flow) = (pressure * factors.0, flow * factors.1);
-        let values = format!("{pressure:.2}\t{flow:.3}\t{}", row % ROWS).replace('.', &decimal.to_string());
+        let values = format!("{pressure:.4}\t{flow:.3}\t{}", row % ROWS).replace('.', &decimal.to_string());
         let trigger = if row % ROWS == 0 { "\tFlujo" } else { "" };
         writeln!(text, "10:00:{seconds:02}:{ms:03}\tInsp.\t{values}{trigger}").unwrap();
     }
@@ -227,12 +227,12 @@ fn a_recording_of_a_servo_u_is_read_in_any_language_and_unit() {
         assert!(summary.breaths >= BREATHS - 2 && summary.unused.is_empty(), "{summary}");
         let rows = recording.inspirations()[1].clone();
         assert!((INSPIRED - 1..=INSPIRED + 1).contains(&rows.len()), "{rows:?}");
-        assert!((recording.pip[rows.start] - 18.0).abs() < 0.1, "{}", recording.pip[rows.start]);
+        assert!((recording.pip[rows.start] - 18.0).abs() < 1e-3, "{}", recording.pip[rows.start]);
         let flow = recording.flow_in.as_deref().unwrap()[rows.start];
         assert!((flow - 0.8).abs() < 0.06, "{flow}");
     }
     // Lines without values are counted, and so is one that was cut off; another recording may follow.
-    let dashes = plain.replacen("6.00\t", "---\t", 3);
+    let dashes = plain.replacen("6.0000\t", "---\t", 3);
     let cut = &plain[..plain.trim_end().rfind('\t').unwrap()];
     let (_, summary) = recorded("servo-u", format!("{dashes}\n{cut}").as_bytes());
     assert_eq!((summary.unused["incomplete lines"], summary.rows), (4, 2 * BREATHS * ROWS - 4));
