@@ -145,12 +145,16 @@ mod tests {
 
     #[test]
     fn the_inverse_of_the_valve_gives_back_the_flow() {
-        for (machine, end_of_dead_zone) in [(machine(), 4.0), (blower_machine().0, 22.0)] {
-            for flow in [0.0, 0.01, 0.3, 0.9] {
+        for (machine, end_of_dead_zone, most) in [(machine(), 4.0, 1.2), (blower_machine().0, 22.0, 0.9)] {
+            for flow in [0.0, 0.01, 0.3, most] {
                 assert!((machine.flow(machine.stem(flow, 20.0), 20.0) - flow).abs() < 1e-4, "{flow}");
             }
             assert!((machine.stem(99.0, 20.0) - 100.0).abs() < 1e-4);
-            assert!((machine.stem(-1.0, 20.0) - end_of_dead_zone).abs() < 1e-4, "no flow");
+            let at_rest = machine.stem(-1.0, 20.0);
+            assert!(
+                (at_rest - end_of_dead_zone).abs() < 1e-4,
+                "no flow keeps the stem at the dead zone's end"
+            );
         }
     }
 
