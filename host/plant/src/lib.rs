@@ -12,6 +12,8 @@ pub mod link;
 pub mod prescriptions;
 pub mod range;
 
+pub use ::bench::TickTruth;
+
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A lung with valves, circuit and sensor, driven one control period at a time.
@@ -74,17 +76,6 @@ impl Reading {
     pub const fn of_pressure(pressure: f32) -> Self {
         Self { pressure, outlet: f32::NAN, flow: f32::NAN, truth: None }
     }
-}
-
-/// The true state at one instant, known only to a virtual plant. NaN marks values that it does not report.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TickTruth {
-    /// Pressure at the airway, cmH2O.
-    pub airway_pressure: f32,
-    /// Pressure behind the sensor's lag, before noise and quantum, cmH2O.
-    pub sensor_pressure: f32,
-    /// Gas in the lung above its volume at rest, mL.
-    pub lung_volume: f32,
 }
 
 /// A plant shared by several ventilators, used one after the other.

@@ -2,9 +2,11 @@
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rand_distr::{Distribution, StandardNormal, StandardUniform};
+use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 use shared::checksum::fnv;
+
+pub use ::bench::share;
 
 /// Standard deviations to which a normal distribution is limited.
 const MOST_DEVIATIONS: f64 = 3.0;
@@ -43,11 +45,6 @@ impl Range {
             Self::LogUniform(low, high) => low * (high / low).powf(share(rng)),
         }
     }
-}
-
-/// An equally likely number from 0 to 1.
-pub fn share(rng: &mut ChaCha8Rng) -> f64 {
-    StandardUniform.sample(rng)
 }
 
 /// The generator of a number with this name, for the draw with this number, from 0, of those that a seed gives: a change of one range

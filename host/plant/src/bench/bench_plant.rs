@@ -95,6 +95,23 @@ mod tests {
     }
 
     #[test]
+    fn it_reports_all_three_sensors() {
+        let mut config = BenchConfig::paper(20.0, 20.0);
+        for sensor in [&mut config.outlet_sensor.noise_sd_cmh2o, &mut config.flow_sensor.noise_sd_l_per_s] {
+            *sensor = 0.0;
+        }
+        config.outlet_sensor.quantum_cmh2o = 0.0;
+        let mut plant = BenchPlant::new(&config).unwrap();
+        let rest = plant.reset(1_000, 1, 5.0).unwrap();
+        assert!((rest.outlet - 5.0).abs() < 1e-6 && rest.flow.abs() < 1e-6);
+        config.flow_sensor.present = false;
+        let mut plant = BenchPlant::new(&config).unwrap();
+        plant.reset(1_000, 1, 5.0).unwrap();
+        let reading = plant.step(50.0, false).unwrap();
+        assert!((reading.outlet - reading.pressure).abs() < 1.0 && reading.flow.is_nan());
+    }
+
+    #[test]
     fn a_failure_lasts_until_it_is_restored_and_a_cough_is_one_pulse() {
         let mut plant = plant();
         let highest = |plant: &mut BenchPlant| {
