@@ -1,5 +1,5 @@
-//! Passes the linker the memory map of the board's chip, and the scripts that place the program in it. The map of the main
-//! board is in the root of the workspace.
+//! Passes the linker the memory regions of the board's chip, which memory.x in the root of the workspace includes, and the scripts that
+//! place the program in them.
 //!
 //! The variable `EUPNEA_WEIGHTS_KEY` contains the public key whose weights the firmware runs, as `trainer keys` writes it; without
 //! it the build is one for development. `EUPNEA_WEIGHTS_PLANT` contains the id of the plant for which these weights must be, as
@@ -8,8 +8,13 @@
 use std::path::PathBuf;
 use std::{env, fs, io};
 
-/// Feature and memory map of each board.
-const BOARDS: [(&str, &str); 2] = [("STM32F405", "../memory.x"), ("STM32F446", "memory/stm32f446.x")];
+/// A board: its feature, its memory regions, and those of the image for the desk if its chip has room for that.
+type BoardMemory = (&'static str, &'static str, Option<&'static str>);
+
+const BOARDS: [BoardMemory; 2] = [
+    ("STM32F405", "memory/stm32f405.x", Some("memory/stm32f405-desk.x")),
+    ("STM32F446", "memory/stm32f446.x", None),
+];
 
 /// Variable with the public key.
 const KEY: &str = "EUPNEA_WEIGHTS_KEY";
@@ -20,25 +25,48 @@ const PLANT_BYTES: usize = 16;
 
 fn main() -> io::Result<()> {
     let chosen: Vec<_> =
-        BOARDS.iter().filter(|(board, _)| env::var_os(format!("CARGO_FEATURE_{board}")).is_some()).collect();
-    let [(_, map)] = chosen[..] else {
-        let boards = BOARDS.map(|(board, _)| board.to_lowercase()).join(", ");
+        BOARDS.iter().filter(|(board, ..)| env::var_os(format!("CARGO_FEATURE_{board}")).is_some()).collect();
+    let [(_, map, desk)] = chosen[..] else {
+        let boards = BOARDS.map(|(board, ..)| board.to_lowercase()).join(", ");
         return Err(io::Error::other(format!("select exactly one board with --features: {boards}")));
     };
+    let map = if env::var_os("CARGO_FEATURE_DESK").is_some() {
+        desk.ok_or_else(|| {
+            io::Error::other("this board's flash has no room for the image for the desk: use the main board")
+        })?
+    } else {
+        *map
+    };
     println!("cargo::rerun-if-changed={map}");
+    println!("cargo::rerun-if-changed=../memory.x");
     let folder = env::var_os("OUT_DIR").map(PathBuf::from);
     let folder = folder.ok_or_else(|| io::Error::other("OUT_DIR is not set: build with cargo"))?;
-    fs::copy(map, folder.join("memory.x"))?;
+    fs::copy(map, folder.join("regions.x"))?;
+    // The linker finds it in the root of the workspace, but only if it is called from there.
+    fs::copy("../memory.x", folder.join("memory.x"))?;
     println!("cargo::rerun-if-env-changed={KEY}");
     println!("cargo::rerun-if-env-changed={PLANT}");
     let key = weights_key()?;
     let plant = weights_plant(key.is_some())?;
     fs::write(folder.join("weights_key.rs"), format!("{key:?}"))?;
     fs::write(folder.join("weights_plant.rs"), format!("{plant:?}"))?;
+    select_plant()?;
     println!("cargo::rustc-link-search={}", folder.display());
     if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
         println!("cargo::rustc-link-arg-bins=-Tlink.x");
         println!("cargo::rustc-link-arg-bins=-Tdefmt.x");
+    }
+    Ok(())
+}
+
+/// Sets the condition `bedside` for an image with sensors and valves: without a feature that puts something in their place.
+fn select_plant() -> io::Result<()> {
+    println!("cargo::rustc-check-cfg=cfg(bedside)");
+    let others = ["HIL", "DESK"].map(|plant| env::var_os(format!("CARGO_FEATURE_{plant}")).is_some());
+    match others {
+        [false, false] => println!("cargo::rustc-cfg=bedside"),
+        [true, true] => return Err(io::Error::other("select at most one of --features hil and desk")),
+        _ => {}
     }
     Ok(())
 }

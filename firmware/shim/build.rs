@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::{env, fs, io};
 
 const MEMORY_MAP: &str = "../../memory.x";
+/// Regions of the board that QEMU models.
+const REGIONS: &str = "../memory/stm32f405.x";
 const SHIM_MAP: &str = "shim.ld";
 
 fn main() -> io::Result<()> {
@@ -15,6 +17,7 @@ fn main() -> io::Result<()> {
     let variable = |name| env::var_os(name).map(PathBuf::from).ok_or_else(|| io::Error::other(name));
     let folder = variable("OUT_DIR")?;
     fs::copy(MEMORY_MAP, folder.join("memory.x"))?;
+    fs::copy(REGIONS, folder.join("regions.x"))?;
     println!("cargo::rustc-link-search={}", folder.display());
     let map = variable("CARGO_MANIFEST_DIR")?.join(SHIM_MAP);
     println!("cargo::rustc-link-arg-bins=-T{}", map.display());

@@ -145,6 +145,7 @@ fn requests() -> Vec<Request> {
             bytes: LEARNED[..CHUNK_BYTES].try_into().expect("a chunk has room for it"),
         },
         Request::CommitWeights,
+        Request::CommitBench,
         Request::GetTiming { clear: true },
         Request::ResetPlant { seed: 1 << 40 },
         Request::GetRecorder,

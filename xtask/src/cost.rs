@@ -202,7 +202,7 @@ fn check_bits(counted: &Counted) -> Result<()> {
 
 /// Flash and RAM of an image of the main board.
 fn size(image: &Path) -> Result<Size> {
-    firmware::size(image, Path::new("memory.x"))
+    firmware::size(image, Path::new(firmware::MAIN_BOARD))
 }
 
 fn table(parts: &BTreeMap<String, Cost>, ceilings: &Ceilings) -> String {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use object::read::elf::{ElfFile32, FileHeader, SectionHeader};
 use object::{Object, ObjectSection, elf};
 use xshell::{Shell, cmd};
@@ -20,7 +20,11 @@ struct Section {
     stored: bool,
 }
 
-/// Feature and linker map of the other boards, which are built as a check.
+/// Memory regions of the main board, and of its image for the desk.
+pub const MAIN_BOARD: &str = "firmware/memory/stm32f405.x";
+const DESK: &str = "firmware/memory/stm32f405-desk.x";
+
+/// Feature and memory regions of the other boards, which are built as a check.
 const OTHER_BOARDS: [(&str, &str); 1] = [("stm32f446", "firmware/memory/stm32f446.x")];
 
 /// Variable with the public key whose weights the firmware runs.
@@ -38,6 +42,8 @@ pub struct Images {
     pub board: PathBuf,
     /// Image with a plant on a serial line in their place.
     pub hil: PathBuf,
+    /// Image that simulates a plant in their place.
+    pub desk: PathBuf,
     /// The shim, for QEMU.
     pub shim: PathBuf,
 }
@@ -61,9 +67,9 @@ pub struct Size {
 /// Builds all images and prints their sizes.
 pub fn run(shell: &Shell) -> Result<()> {
     let images = build(shell)?;
-    let regions = memory::regions(&shell.read_file("memory.x")?)?;
-    for image in [&images.board, &images.hil] {
+    for (image, map) in [(&images.board, MAIN_BOARD), (&images.hil, MAIN_BOARD), (&images.desk, DESK)] {
         println!("{}", image.display());
+        let regions = memory::regions(&shell.read_file(map)?)?;
         print!("{}", report(&sections(&read(image)?)?, &regions)?);
     }
     println!("{}: for QEMU", images.shim.display());
@@ -79,9 +85,10 @@ pub fn run(shell: &Shell) -> Result<()> {
 pub fn build(shell: &Shell) -> Result<Images> {
     let hil = compile(shell, "hil", &["--features", "hil"])?;
     let board = compile(shell, "board", &[])?;
+    let desk = compile(shell, "desk", &["--features", "desk"])?;
     build_for_chip(shell, &["-p", "shim", "--bin", "shim"])?;
     let shim = keep(shell, "shim", "shim", Ok)?;
-    Ok(Images { board, hil, shim })
+    Ok(Images { board, hil, desk, shim })
 }
 
 /// Builds the images like [`build`] without a key, whatever the environment says.
@@ -159,9 +166,15 @@ fn read(path: &Path) -> Result<Vec<u8>> {
 
 /// Flash and RAM that an image uses, with the regions of a linker map.
 pub fn size(image: &Path, map: &Path) -> Result<Size> {
-    let map = String::from_utf8(read(map)?)?;
-    let ram = memory::find(&memory::regions(&map)?, "RAM")?.clone();
-    Ok(taken(&sections(&read(image)?)?, &ram))
+    let text = String::from_utf8(read(map)?)?;
+    let (regions, sections) = (memory::regions(&text)?, sections(&read(image)?)?);
+    // The linker takes the first map that it finds.
+    for section in &sections {
+        let placed = ["FLASH", "RAM"].map(|name| memory::find(&regions, name));
+        let fits = placed.into_iter().flatten().any(|region| region.contains(section.address));
+        ensure!(fits, "{} of {} is outside the regions of {}", section.name, image.display(), map.display());
+    }
+    Ok(taken(&sections, memory::find(&regions, "RAM")?))
 }
 
 fn taken(sections: &[Section], ram: &Region) -> Size {

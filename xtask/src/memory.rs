@@ -1,4 +1,4 @@
-//! Reads the regions of `memory.x`, so that the linker map is the only place that defines their sizes.
+//! Reads the regions in `firmware/memory/`, so that the linker map is the only place that defines their sizes.
 
 use anyhow::{Context, Result, bail};
 
@@ -64,9 +64,10 @@ fn number(text: &str) -> Result<u64> {
 mod tests {
     use super::*;
 
-    /// The map of each board, and the size of its flash, bytes.
-    const CHIPS: [(&str, u64); 2] = [
-        (include_str!("../../memory.x"), 1024 * 1024),
+    /// The regions of each board and image, and the size of its flash, bytes.
+    const CHIPS: [(&str, u64); 3] = [
+        (include_str!("../../firmware/memory/stm32f405.x"), 1024 * 1024),
+        (include_str!("../../firmware/memory/stm32f405-desk.x"), 1024 * 1024),
         (include_str!("../../firmware/memory/stm32f446.x"), 512 * 1024),
     ];
 
@@ -93,7 +94,8 @@ mod tests {
             let end = flash.origin + bytes;
             assert_eq!((a.origin, a.length), (end - 2 * SECTOR, SECTOR));
             assert_eq!((b.origin, b.length), (end - SECTOR, SECTOR));
-            let calibrations = regions.iter().find(|region| region.name == "CALIBRATIONS");
+            let calibrations =
+                regions.iter().find(|region| region.name == "CALIBRATIONS" && region.length > 0);
             let after = calibrations.unwrap_or(a).origin;
             assert_eq!(flash.origin + flash.length, after, "the program ends where its data begins");
         }
@@ -149,9 +151,10 @@ mod tests {
 
     #[test]
     fn no_two_regions_overlap() {
-        for ((map, _), count) in CHIPS.iter().zip([10, 7]) {
+        for (map, _) in CHIPS {
             let mut regions = regions(map).unwrap();
-            assert_eq!(regions.len(), count);
+            assert_eq!(regions.len(), 10);
+            regions.retain(|region| region.length > 0);
             regions.sort_by_key(|region| region.origin);
             for pair in regions.windows(2) {
                 assert!(pair[0].origin + pair[0].length <= pair[1].origin, "{pair:?}");

@@ -21,7 +21,7 @@ fn memory() -> &'static PrescriptionMemory {
 /// Attaches to the content that the last run left. Called once, before [`tend`].
 pub fn attach(interruption: Option<Interruption>) -> Prescription<'static> {
     let room = addr_of!(__prescription_end) as usize - addr_of!(__prescription_start) as usize;
-    assert!(room >= size_of::<PrescriptionMemory>(), "PRESCRIPTION in memory.x is too small");
+    assert!(room >= size_of::<PrescriptionMemory>(), "the region PRESCRIPTION is too small");
     backup::open();
     Prescription::attach(memory(), interruption, backup::time())
 }

@@ -1,4 +1,4 @@
-//! The flight recorder's memory: a region in memory.x without any section, so that a reset does not change it.
+//! The flight recorder's memory: a region without any section, so that a reset does not change it.
 
 use core::ptr::addr_of;
 
@@ -31,7 +31,7 @@ pub fn attach(
     flash: &mut BoardFlash,
 ) -> (Recorder<'static>, Option<Keeper>) {
     let room = addr_of!(__recorder_end) as usize - addr_of!(__recorder_start) as usize;
-    assert!(room >= size_of::<RecorderMemory>(), "RECORDER in memory.x is too small for the flight recorder");
+    assert!(room >= size_of::<RecorderMemory>(), "the region RECORDER is too small for the flight recorder");
     let weights = running.and_then(|slot| slots[slot as usize].id());
     let kept = flash::copies().map(|starts| Keeper::attach(flash, starts, memory(), cause));
     let (keeper, restored) = kept.map_or((None, false), |(keeper, restored)| (Some(keeper), restored));

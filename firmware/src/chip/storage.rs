@@ -52,6 +52,11 @@ impl Store for Storage {
         }
     }
 
+    #[cfg(feature = "desk")]
+    fn set_bench(&mut self, description: &[u8]) -> Result<(), Refusal> {
+        super::drivers::desk::describe(description)
+    }
+
     fn calibration(&mut self, back: u16) -> (u16, Option<Calibration>) {
         let Self { slots, calibrations } = self;
         calibrations.as_ref().map_or((0, None), |stored| (stored.count(), stored.get(slots.flash(), back)))

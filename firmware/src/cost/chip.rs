@@ -2,7 +2,9 @@
 
 use core::hint::black_box;
 use core::panic::PanicInfo;
+use core::ptr::addr_of;
 
+use bench::{Bench, BenchConfig, BlowerConfig, CompartmentConfig, LungConfig, PatientConfig};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use defmt_rtt as _;
@@ -23,6 +25,7 @@ use shared::link::telemetry::{Batcher, Counters};
 use shared::math;
 use shared::recorder::{Boot, Recorder, RecorderMemory};
 use shared::reset::ResetCause;
+use shared::safety::filter::ValveCommand;
 use shared::safety::monitors::Monitors;
 use shared::safety::supervisor::{Supervisor, SupervisorState};
 use shared::sensor::{Counts, Readings};
@@ -30,6 +33,8 @@ use shared::timing::TickTime;
 use shared::ventilator::Output;
 use shared::weights::trust::{Trust, seal};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
+
+use static_cell::StaticCell;
 
 use super::exact_lung::ExactLung;
 use super::fixture::{Numbers, RUNS, reference_bits, relu};
@@ -89,16 +94,19 @@ fn main() -> ! {
     networks(&counting);
     parts(&counting);
     monitors(&counting);
-    telemetry(&counting);
     boot(&counting);
-    recording(&counting);
-    ticks(&counting);
+    let control = prepare();
+    telemetry(&counting, control);
+    recording(&counting, control);
+    ticks(&counting, control);
+    desk(&counting, control);
     debug::exit(debug::EXIT_SUCCESS);
     unreachable!("QEMU has ended")
 }
 
 /// Measures the reference network, 40-32-32-1, with relu and with softsign. Also prints the bits of the outputs, which
 /// the host compares.
+#[inline(never)]
 fn networks(counting: &Cost) {
     let (mut with_relu, mut with_softsign) = (Cost::NONE, Cost::NONE);
     let [relu_bits, softsign_bits] = reference_bits(
@@ -136,6 +144,7 @@ fn built<T, E>(result: Result<T, E>) -> T {
 }
 
 /// Measures the parts of a tick one by one.
+#[inline(never)]
 fn parts(counting: &Cost) {
     let residual = residual();
     let controller = Controller::Residual(residual.clone());
@@ -183,6 +192,7 @@ fn sensed(plant: &ExactLung, before: f32) -> Readings {
 
 /// Measures all monitors, ladder and filter over whole breaths of a learned controller, so that the checks at the end of a
 /// phase are included.
+#[inline(never)]
 fn monitors(counting: &Cost) {
     let breath = breath(25.0);
     let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
@@ -206,11 +216,12 @@ fn monitors(counting: &Cost) {
 }
 
 /// Measures packing a sample, and encoding a full batch, which is the work of the link task and not of the tick.
-fn telemetry(counting: &Cost) {
+#[inline(never)]
+fn telemetry(counting: &Cost, control: &mut Control) {
     let (mut pack, mut encoding) = (Cost::NONE, Cost::NONE);
     let mut batcher = Batcher::default();
-    let mut control = control();
-    begin(&mut control);
+    renew(control);
+    begin(control);
     for tick in 0..u64::from(RUNS) {
         let readings = Readings { flow: 0.5, ..Readings::from(5.0) };
         let Some(sample) = control.step(readings).sample else { continue };
@@ -226,6 +237,7 @@ fn telemetry(counting: &Cost) {
 }
 
 /// Measures the validation of the weights at the start of the program.
+#[inline(never)]
 fn boot(counting: &Cost) {
     let mut image = [0; IMAGE_BYTES];
     built(encode(&residual(), &Identity::default(), &mut image));
@@ -239,10 +251,33 @@ fn boot(counting: &Cost) {
     cost.print("boot_verify_weights", counting);
 }
 
-fn control() -> Control {
-    let mut control = built(Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ));
+/// The device's control half, static because it takes a third of the stack.
+static CONTROL: StaticCell<Control> = StaticCell::new();
+
+/// Builds the control half. Called once.
+#[inline(never)]
+fn prepare() -> &'static mut Control {
+    CONTROL.init_with(blank)
+}
+
+fn blank() -> Control {
+    built(Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ))
+}
+
+/// Begins again with a learned controller.
+fn renew(control: &mut Control) {
+    clear(control);
+    learn(control);
+}
+
+#[inline(never)]
+fn clear(control: &mut Control) {
+    *control = blank();
+}
+
+#[inline(never)]
+fn learn(control: &mut Control) {
     control.learn(&residual());
-    control
 }
 
 /// Starts ventilation.
@@ -251,20 +286,30 @@ fn begin(control: &mut Control) {
     control.execute(&ControlRequest::Start);
 }
 
-/// The flight recorder's memory.
-static MEMORY: RecorderMemory = RecorderMemory::new();
+unsafe extern "C" {
+    /// Beginning of the region of the flight recorder.
+    static __recorder_start: u8;
+}
+
+/// The flight recorder's memory, where the firmware has it.
+fn memory() -> &'static RecorderMemory {
+    // SAFETY: the region is large and aligned enough, as the firmware asserts, contains nothing else, and any content is valid.
+    unsafe { &*addr_of!(__recorder_start).cast() }
+}
 
 fn recorder() -> Recorder<'static> {
     Recorder::attach(
-        &MEMORY,
+        memory(),
         Boot { cause: ResetCause::PowerOn, failed: false, weights: None, restored: false },
     )
 }
 
 /// Measures the flight recorder's part of a tick.
-fn recording(counting: &Cost) {
-    let (mut control, mut recorder, mut cost) = (control(), recorder(), Cost::NONE);
-    begin(&mut control);
+#[inline(never)]
+fn recording(counting: &Cost, control: &mut Control) {
+    let (mut recorder, mut cost) = (recorder(), Cost::NONE);
+    renew(control);
+    begin(control);
     for tick in 0..2 * TICKS {
         let reading = 5.0 + (tick % 1000) as f32 / 100.0;
         let output = control.step(reading);
@@ -280,12 +325,13 @@ static PRESCRIPTION: PrescriptionMemory = PrescriptionMemory::new();
 /// Measures whole ticks of the device's control half, learned and exploring, on the plant of the golden traces with all sensors:
 /// step, report, request, prescription and flight recorder, as in the control task. Ticks of the inspiration, in which the network runs, are also counted
 /// separately.
-fn ticks(counting: &Cost) {
-    let mut control = control();
+#[inline(never)]
+fn ticks(counting: &Cost, control: &mut Control) {
+    renew(control);
     let (mut recorder, mut prescription) = (recorder(), Prescription::attach(&PRESCRIPTION, None, None));
     let mut plant = ExactLung::new(paper_settings(PAPER_PIPS[0]).peep);
     let mut before = plant.pressure();
-    begin(&mut control);
+    begin(control);
     let (mut all, mut inspiring) = (Cost::NONE, Cost::NONE);
     for pip in PAPER_PIPS {
         let settings = paper_settings(pip);
@@ -301,7 +347,7 @@ fn ticks(counting: &Cost) {
             let (mut cost, request, readings) = (Cost::NONE, requests.next(), sensed(&plant, before));
             before = plant.pressure();
             let keepers = (&mut recorder, &mut prescription);
-            let output = cost.of(|| tick(&mut control, keepers, black_box(readings), black_box(request)));
+            let output = cost.of(|| tick(control, keepers, black_box(readings), black_box(request)));
             let Some(sample) = output.sample else { unreachable!("the ventilator ventilates to the end") };
             if sample.phase == Phase::Inspiration {
                 inspiring.add(&cost);
@@ -312,6 +358,70 @@ fn ticks(counting: &Cost) {
     }
     all.print("tick", counting);
     inspiring.print("tick_of_inspiration", counting);
+}
+
+/// Measures the bench that a board on the desk simulates: a start, a step with all readings, and a step with the tick that controls it,
+/// on the default bench and on one in which every part is at work.
+#[inline(never)]
+fn desk(counting: &Cost, control: &mut Control) {
+    let busy = BenchConfig {
+        blower: Some(BlowerConfig::default()),
+        lung: LungConfig { second: Some(CompartmentConfig::default()), ..LungConfig::default() },
+        patient: PatientConfig {
+            effort_cmh2o: 8.0,
+            effort_variability_percent: 20.0,
+            effort_wanes_percent: 50.0,
+            cough_cmh2o: 30.0,
+            coughs_per_hour: 600.0,
+            resistance_growth_percent_per_hour: 10.0,
+            ..PatientConfig::default()
+        },
+        ..BenchConfig::default()
+    };
+    let (mut starting, mut stepping, mut whole) = (Cost::NONE, Cost::NONE, Cost::NONE);
+    for config in [BenchConfig::default(), busy] {
+        start(&config, &mut starting);
+        renew(control);
+        let cost = breathe(&config, counting, control);
+        stepping.add(&cost[0]);
+        whole.add(&cost[1]);
+    }
+    starting.print("bench_start", counting);
+    stepping.print("bench_step", counting);
+    whole.print("tick_on_the_desk", counting);
+}
+
+/// Starts a bench; a separate function, because a bench fills much of the stack.
+#[inline(never)]
+fn start(config: &BenchConfig, cost: &mut Cost) {
+    black_box(cost.of(|| Bench::new(black_box(config), 5.0, 1).is_ok()));
+}
+
+/// Ventilates a bench for two breaths; the cost of its steps, and of its steps with the ticks.
+#[inline(never)]
+fn breathe(config: &BenchConfig, counting: &Cost, control: &mut Control) -> [Cost; 2] {
+    let (mut stepping, mut whole) = (Cost::NONE, Cost::NONE);
+    let settings = paper_settings(PAPER_PIPS[5]);
+    let mut bench = built(Bench::new(config, settings.peep, 1));
+    let mut command = ValveCommand::SAFE;
+    let (mut recorder, mut prescription) = (recorder(), Prescription::attach(&PRESCRIPTION, None, None));
+    control.execute(&ControlRequest::Apply(settings));
+    control.execute(&ControlRequest::Start);
+    for _ in 0..2 * TICKS {
+        let (mut step, mut controlled) = (Cost::NONE, Cost::NONE);
+        let readings = step.of(|| {
+            let airway = bench.step(command.u_in(), command.u_out());
+            Readings { airway, outlet: bench.outlet_reading(), flow: bench.flow_reading() }
+        });
+        let keepers = (&mut recorder, &mut prescription);
+        let output = controlled.of(|| tick(control, keepers, black_box(readings), None));
+        command = output.command;
+        stepping.add(&step);
+        step.worst += controlled.worst - counting.worst;
+        step.total += controlled.total - u64::from(counting.worst);
+        whole.add(&step);
+    }
+    [stepping, whole]
 }
 
 fn tick(

@@ -1,6 +1,7 @@
-//! Uploads a weights image.
+//! Uploads a weights image, or the description of a bench to a device that simulates one.
 
 use progress::{Progress, Stage};
+use shared::checksum::crc32;
 use shared::link::messages::{CHUNK_BYTES, Request, Response};
 use shared::link::refusal::Refusal;
 use shared::weights::slots::Slot;
@@ -40,16 +41,37 @@ impl Device {
     /// [`UploadError`]; the running weights stay. A request to stop is [`DeviceError::Stopped`].
     pub fn upload(&mut self, image: &[u8], progress: &Progress<'_>) -> Result<Uploaded, UploadError> {
         let id = decode(image)?.id;
-        let image = &image[..IMAGE_BYTES];
-        let mut offset = self.progress_of(&Request::BeginWeights { length: IMAGE_BYTES as u32, id })?;
-        let task = progress.task(UPLOAD, image.len());
-        while offset < image.len() {
+        self.transfer(&image[..IMAGE_BYTES], id, progress)?;
+        match self.request(&Request::CommitWeights)? {
+            Response::Weights { id: stored, slot } if stored == id => Ok(Uploaded { id, slot }),
+            _ => Err(DeviceError::Unexpected.into()),
+        }
+    }
+
+    /// Makes a device on the desk simulate the bench of this description (`BenchConfig::to_bytes` in the crate `bench`) from now on.
+    ///
+    /// # Errors
+    /// A device that refuses it, or cannot be reached.
+    pub fn set_bench(&mut self, description: &[u8]) -> Result<(), DeviceError> {
+        self.transfer(description, crc32(description), &Progress::silent())?;
+        match self.request(&Request::CommitBench)? {
+            Response::Done => Ok(()),
+            _ => Err(DeviceError::Unexpected),
+        }
+    }
+
+    /// Sends the bytes of an upload with this id.
+    fn transfer(&mut self, content: &[u8], id: u32, progress: &Progress<'_>) -> Result<(), DeviceError> {
+        let begin = Request::BeginWeights { length: content.len() as u32, id };
+        let mut offset = self.progress_of(&begin)?;
+        let task = progress.task(UPLOAD, content.len());
+        while offset < content.len() {
             task.reach(offset);
             if task.stopped() {
-                return Err(DeviceError::Stopped.into());
+                return Err(DeviceError::Stopped);
             }
-            let end = image.len().min(offset + CHUNK_BYTES);
-            let bytes = image[offset..end].iter().copied().collect();
+            let end = content.len().min(offset + CHUNK_BYTES);
+            let bytes = content[offset..end].iter().copied().collect();
             let chunk = Request::WeightsChunk { offset: offset as u32, bytes };
             offset = match self.progress_of(&chunk) {
                 // The device knows what it has received, for example after a reconnection.
@@ -58,10 +80,7 @@ impl Device {
             };
         }
         task.reach(offset);
-        match self.request(&Request::CommitWeights)? {
-            Response::Weights { id: stored, slot } if stored == id => Ok(Uploaded { id, slot }),
-            _ => Err(DeviceError::Unexpected.into()),
-        }
+        Ok(())
     }
 
     fn progress_of(&mut self, request: &Request) -> Result<usize, DeviceError> {

@@ -91,6 +91,7 @@ pub fn device(kind: DeviceKind) -> &'static str {
         DeviceKind::Ventilator => "ventilator",
         DeviceKind::HardwareInTheLoop => "hardware in the loop",
         DeviceKind::Simulated => "simulated",
+        DeviceKind::Desk => "simulated on the board",
     }
 }
 

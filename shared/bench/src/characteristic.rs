@@ -3,10 +3,14 @@
 //! The power law is interpolated between points. A computer keeps all of them in a table; a chip, which has no memory for it, keeps the
 //! two beside the stem. The points are the same.
 
-use crate::math::pow;
+use core::f64::consts::LN_2;
+
+use crate::math::exp2;
 
 /// Intervals between the points: the error of `x^1.3` between them is below 1e-5.
 const INTERVALS: u32 = 1024;
+/// Points, with an extra one, so that interpolation at full travel has a right neighbour.
+const POINTS: usize = INTERVALS as usize + 2;
 
 /// Flow through the stem over its travel, as a share of the full flow.
 #[derive(Clone, Debug)]
@@ -33,9 +37,39 @@ impl Characteristic {
     }
 }
 
-/// The power law at the point with this number, from 0.
+/// The power law at the point with this number, from 0. A general power would take a chip ten times as long.
 fn point(index: u32, exponent: f64) -> f64 {
-    pow(f64::from(index) / f64::from(INTERVALS), exponent)
+    exp2(exponent * LOGARITHMS[index as usize])
+}
+
+/// Binary logarithm of the travel at each point, as a share of the whole; computed by the compiler.
+static LOGARITHMS: [f64; POINTS] = logarithms();
+
+const fn logarithms() -> [f64; POINTS] {
+    let mut logarithms = [f64::NEG_INFINITY; POINTS];
+    let mut index = 1;
+    while index < POINTS {
+        logarithms[index] = log2(index as f64 / INTERVALS as f64);
+        index += 1;
+    }
+    logarithms
+}
+
+/// Binary logarithm of a number above zero, by the series of the area tangent.
+const fn log2(x: f64) -> f64 {
+    let (mut mantissa, mut whole) = (x, 0.0);
+    while mantissa < 1.0 {
+        mantissa *= 2.0;
+        whole -= 1.0;
+    }
+    let z = (mantissa - 1.0) / (mantissa + 1.0);
+    let (mut power, mut sum, mut n) = (z, 0.0, 1.0);
+    while n < 40.0 {
+        sum += power / n;
+        power *= z * z;
+        n += 2.0;
+    }
+    whole + 2.0 * sum / LN_2
 }
 
 #[cfg(feature = "std")]
@@ -46,7 +80,7 @@ use tabulated::Points;
 mod tabulated {
     use std::sync::{Arc, LazyLock};
 
-    use super::{INTERVALS, point};
+    use super::{POINTS, point};
     use crate::config::ValveConfig;
 
     /// The points of the default exponent. Benches share them, so that many benches fit the processor's cache together.
@@ -56,8 +90,7 @@ mod tabulated {
     pub(super) struct Points(Arc<[f64]>);
 
     fn table(exponent: f64) -> Arc<[f64]> {
-        // One extra point, so that interpolation at full travel has a right neighbour.
-        (0..=INTERVALS + 1).map(|index| point(index, exponent)).collect()
+        (0..POINTS as u32).map(|index| point(index, exponent)).collect()
     }
 
     impl Points {
@@ -118,6 +151,12 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #[test]
+        fn a_point_is_the_power_of_its_place(index in 0..POINTS as u32, exponent in 0.5..4.0) {
+            let expected = (f64::from(index) / f64::from(INTERVALS)).powf(exponent);
+            prop_assert!((point(index, exponent) - expected).abs() <= 1e-14 * expected);
+        }
+
         #[test]
         fn the_points_that_a_chip_keeps_are_those_of_the_table(
             exponent in 0.5..4.0, places in prop::collection::vec(0..=INTERVALS, 1..40), steps in 0..3_u32,

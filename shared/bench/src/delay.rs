@@ -1,8 +1,8 @@
 //! A delay line for the readings of a sensor, in steps of the bench.
 
 use crate::math::round;
-use crate::storage::{List, MOST_DELAY_MS};
 use crate::step::STEP_S;
+use crate::storage::{List, MOST_DELAY_MS};
 
 /// Readings that have not come out yet.
 #[derive(Clone, Debug)]
@@ -59,7 +59,10 @@ mod tests {
                 // The last reading that is at least so old.
                 let due = ms.checked_sub(delay_ms).map_or(0, |at| at / every_ms * every_ms);
                 let expected = if due == 0 { -1.0 } else { due as f32 };
-                assert!((found - expected).abs() < 1e-6, "{delay_ms} ms, every {every_ms} ms: {found} at {ms} ms");
+                assert!(
+                    (found - expected).abs() < 1e-6,
+                    "{delay_ms} ms, every {every_ms} ms: {found} at {ms} ms"
+                );
             }
         }
     }

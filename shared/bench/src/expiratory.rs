@@ -49,6 +49,11 @@ impl Expiratory {
         }
     }
 
+    /// The threshold to which the PEEP valve was last turned, cmH2O.
+    pub(super) fn setting(&self) -> f64 {
+        self.setting
+    }
+
     /// Makes the PEEP valve stick at this pressure, cmH2O.
     pub(super) fn stick_at(&mut self, peep: f64) {
         (self.peep, self.held) = (peep, true);

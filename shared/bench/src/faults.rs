@@ -207,9 +207,7 @@ impl Distorter {
             }),
             Distortion::DriftPerS(rate) => value + rate * (time_s - began_s),
             Distortion::Noise(sd) => value + sd * normal(&mut self.rng),
-            Distortion::Hum { amplitude, hz } => {
-                value + amplitude * sin(TAU * hz * time_s)
-            }
+            Distortion::Hum { amplitude, hz } => value + amplitude * sin(TAU * hz * time_s),
             Distortion::Quantum(quantum) => quantum * round(value / quantum),
             Distortion::Saturates { low, high } => value.clamp(low, high),
             Distortion::Freezes => self.kept,

@@ -70,8 +70,8 @@ pub use failure::Failure;
 #[cfg(feature = "std")]
 pub use presets::is_neonatal;
 pub use random::share;
-pub use storage::{List, MOST_DELAY_MS, MOST_FAULTS, MOST_LEAK_CHANGES, MOST_NAME_BYTES, Text};
 pub use step::{LEAST_SUB_STEPS, STEP_S, STEP_US};
+pub use storage::{List, MOST_DELAY_MS, MOST_FAULTS, MOST_LEAK_CHANGES, MOST_NAME_BYTES, Text};
 
 pub use config::{
     BenchConfig, BenchError, BlowerConfig, CircuitConfig, CompartmentConfig, Distortion, ExpiratoryConfig,
@@ -234,6 +234,11 @@ impl Bench {
         if !peep.is_nan() {
             self.expiratory.set_peep(end_stops(peep));
         }
+    }
+
+    /// The PEEP to which the mechanical valve was last turned, cmH2O.
+    pub fn peep(&self) -> f32 {
+        self.expiratory.setting() as f32
     }
 
     /// Makes the patient cough now, with this peak pressure, cmH2O.

@@ -3,7 +3,7 @@
 //! The square root is exact in IEEE 754; all others are those of libm by name, which consist of exact operations. So host and chip
 //! agree in every bit.
 
-pub(crate) use libm::{ceil, cos, exp, log as ln, pow, round, sin};
+pub(crate) use libm::{ceil, cos, exp, exp2, log as ln, round, sin};
 
 /// Square root.
 #[inline]

@@ -12,9 +12,9 @@ pub const MOST_NAME_BYTES: usize = 32;
 #[cfg(feature = "std")]
 mod kind {
     /// A list; on a chip of at most `N` elements.
-    pub type List<T, const N: usize> = std::vec::Vec<T>;
+    pub type List<T, const N: usize> = Vec<T>;
     /// A text; on a chip of at most `N` bytes.
-    pub type Text<const N: usize> = std::string::String;
+    pub type Text<const N: usize> = String;
 }
 
 #[cfg(not(feature = "std"))]

@@ -81,6 +81,14 @@ pub trait Store {
     /// The reason for which it was not stored.
     fn store_calibration(&mut self, calibration: &Calibration) -> Result<u16, Refusal>;
 
+    /// Makes the simulated bench one of this description ([`Request::CommitBench`]).
+    ///
+    /// # Errors
+    /// [`Refusal::BadBench`]; [`Refusal::NoBench`] from a device that simulates none.
+    fn set_bench(&mut self, _description: &[u8]) -> Result<(), Refusal> {
+        Err(Refusal::NoBench)
+    }
+
     /// The number of stored calibrations, and one of them: 0 for the newest, 1 for the one before, and so on.
     fn calibration(&mut self, back: u16) -> (u16, Option<Calibration>);
 }
@@ -120,6 +128,8 @@ enum Continuation {
     Begin { length: u32, id: u32 },
     /// Validate and store the upload, unless the device ventilates.
     Commit,
+    /// Take over the upload as the description of a bench, in standby.
+    CommitBench,
     /// Store a calibration in standby.
     StoreCalibration(Calibration),
     /// Report the calibration that the control half has taken over.
@@ -235,6 +245,7 @@ impl<'a> Server<'a> {
                 (Continuation::Begin { length: *length, id: *id }, ControlRequest::Status)
             }
             Request::CommitWeights => (Continuation::Commit, ControlRequest::Status),
+            Request::CommitBench => (Continuation::CommitBench, ControlRequest::Status),
             Request::StoreCalibration(calibration) => {
                 (Continuation::StoreCalibration(*calibration), ControlRequest::Status)
             }
@@ -319,6 +330,11 @@ impl<'a> Server<'a> {
                     Ok(id) => self.store_weights(id, store),
                     Err(refusal) => self.send(Err(refusal)),
                 }
+            }
+            Continuation::CommitBench => {
+                let description = may_erase(&status).and_then(|()| self.upload.description());
+                let set = description.and_then(|bytes| store.set_bench(bytes));
+                self.send(set.map(|()| Response::Done))
             }
             Continuation::StoreCalibration(calibration) => {
                 let valid = may_erase(&status).and_then(|()| Ok(calibration.validate()?));

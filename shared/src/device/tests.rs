@@ -66,13 +66,15 @@ struct Flash {
     cells: Nor<4, SECTOR>,
     calibrations: StoredCalibrations,
     fails: Option<StoreError>,
+    /// Descriptions of benches; none of a device that simulates no bench.
+    benches: Option<std::vec::Vec<std::vec::Vec<u8>>>,
 }
 
 impl Flash {
     fn new() -> Self {
         let mut cells = Nor::new();
         let calibrations = StoredCalibrations::open(&mut cells, 0, SECTOR as u32);
-        Self { images: Vec::new(), cells, calibrations, fails: None }
+        Self { images: Vec::new(), cells, calibrations, fails: None, benches: None }
     }
 
     fn failing() -> Self {
@@ -94,6 +96,11 @@ impl Store for Flash {
         self.cells.supply = if self.fails.is_some() { 0 } else { usize::MAX };
         let stored = self.calibrations.store(&mut self.cells, calibration);
         stored.map(|()| self.calibrations.count()).map_err(|_| Refusal::CalibrationStorage)
+    }
+
+    fn set_bench(&mut self, description: &[u8]) -> Result<(), Refusal> {
+        self.benches.as_mut().ok_or(Refusal::NoBench)?.push(description.to_vec());
+        Ok(())
     }
 
     fn calibration(&mut self, back: u16) -> (u16, Option<Calibration>) {
@@ -569,6 +576,7 @@ proptest! {
                 13 => Request::ReadRecorder { part: RecorderPart::Log, from: value as u32 },
                 14 => Request::ClearRecorder,
                 15 => Request::GetAlarms,
+                16 => Request::CommitBench,
                 _ => Request::GetTiming { clear: true },
             };
             rig.ask(request);

@@ -1,18 +1,26 @@
-//! Assembles an uploaded weights image in memory and validates it, before anything is written to the flash.
+//! Assembles an upload in memory, a weights image or the description of a bench, and validates it before it is used.
 //!
 //! A chunk whose answer was lost may be sent again. The caller decides whether an upload is allowed (not while
 //! ventilating).
 
+use crate::checksum::crc32;
 use crate::link::refusal::Refusal;
 use crate::weights::trust::Trust;
 use crate::weights::{IMAGE_BYTES, ImageProblem, decode_trusted};
+
+/// What is uploaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Announced {
+    length: usize,
+    id: u32,
+}
 
 /// An upload in progress, or none.
 #[derive(Clone, Debug)]
 pub struct Upload {
     bytes: [u8; IMAGE_BYTES],
     received: usize,
-    announced: Option<u32>,
+    announced: Option<Announced>,
 }
 
 impl Upload {
@@ -21,17 +29,18 @@ impl Upload {
         Self { bytes: [0; IMAGE_BYTES], received: 0, announced: None }
     }
 
-    /// Begins the upload of an image with this length and id; returns the next expected offset, which is not zero if an
-    /// interrupted upload of the same image continues. An unfinished upload of another image is discarded.
+    /// Begins an upload of this length and id; returns the next expected offset, which is not zero if an interrupted upload of the same
+    /// content continues. Any other unfinished upload is discarded.
     ///
     /// # Errors
     /// [`Refusal::WrongLength`].
     pub fn begin(&mut self, length: u32, id: u32) -> Result<u32, Refusal> {
-        if length as usize != IMAGE_BYTES {
+        let announced = Announced { length: length as usize, id };
+        if announced.length > IMAGE_BYTES {
             return Err(Refusal::WrongLength);
         }
-        if self.announced != Some(id) {
-            (self.received, self.announced) = (0, Some(id));
+        if self.announced != Some(announced) {
+            (self.received, self.announced) = (0, Some(announced));
         }
         Ok(self.received as u32)
     }
@@ -42,14 +51,12 @@ impl Upload {
     /// [`Refusal::NoUpload`]; [`Refusal::WrongOffset`] unless the chunk follows the last one or repeats received
     /// bytes.
     pub fn chunk(&mut self, offset: u32, chunk: &[u8]) -> Result<u32, Refusal> {
-        if self.announced.is_none() {
-            return Err(Refusal::NoUpload);
-        }
+        let Announced { length, .. } = self.announced.ok_or(Refusal::NoUpload)?;
         let expected = self.received as u32;
         let refusal = Refusal::WrongOffset { expected };
         let (start, end) = (offset as usize, (offset as usize).saturating_add(chunk.len()));
         let repeated = end <= self.received;
-        let place = self.bytes.get_mut(start..end).ok_or(refusal)?;
+        let place = self.bytes[..length].get_mut(start..end).ok_or(refusal)?;
         if repeated && *place == *chunk {
             return Ok(expected);
         }
@@ -62,27 +69,45 @@ impl Upload {
         Ok(end as u32)
     }
 
-    /// Validates the whole image, whose bytes are then in [`Upload::bytes`]; returns its id.
-    ///
-    /// # Errors
-    /// [`Refusal::NoUpload`], [`Refusal::WrongOffset`] if bytes are missing, [`Refusal::BadImage`],
-    /// [`Refusal::Unsigned`], [`Refusal::WrongSignature`] or [`Refusal::OtherPlant`] if the device does not trust it,
-    /// [`Refusal::OtherImage`] if its id is not the announced one.
-    pub fn commit(&mut self, trust: &Trust) -> Result<u32, Refusal> {
+    /// What was announced, if all of it has arrived.
+    fn complete(&self) -> Result<Announced, Refusal> {
         let announced = self.announced.ok_or(Refusal::NoUpload)?;
-        if self.received < IMAGE_BYTES {
+        if self.received < announced.length {
             let expected = self.received as u32;
             return Err(Refusal::WrongOffset { expected });
         }
-        debug_assert!(self.received == IMAGE_BYTES);
+        Ok(announced)
+    }
+
+    /// The whole description of a bench; its id is the CRC-32 of its bytes. It stays, so that a host whose answer was lost may ask again.
+    ///
+    /// # Errors
+    /// [`Refusal::NoUpload`], [`Refusal::WrongOffset`] if bytes are missing, [`Refusal::OtherImage`] if the id is another.
+    pub fn description(&self) -> Result<&[u8], Refusal> {
+        let Announced { length, id } = self.complete()?;
+        let bytes = &self.bytes[..length];
+        if crc32(bytes) == id { Ok(bytes) } else { Err(Refusal::OtherImage) }
+    }
+
+    /// Validates the whole image, whose bytes are then in [`Upload::bytes`]; returns its id.
+    ///
+    /// # Errors
+    /// [`Refusal::NoUpload`], [`Refusal::WrongOffset`] if bytes are missing, [`Refusal::WrongLength`], [`Refusal::BadImage`],
+    /// [`Refusal::Unsigned`], [`Refusal::WrongSignature`] or [`Refusal::OtherPlant`] if the device does not trust it,
+    /// [`Refusal::OtherImage`] if its id is not the announced one.
+    pub fn commit(&mut self, trust: &Trust) -> Result<u32, Refusal> {
+        let Announced { length, id } = self.complete()?;
         self.announced = None;
+        if length != IMAGE_BYTES {
+            return Err(Refusal::WrongLength);
+        }
         let image = decode_trusted(&self.bytes, trust).map_err(|error| match error.into() {
             ImageProblem::Unsigned => Refusal::Unsigned,
             ImageProblem::Signature => Refusal::WrongSignature,
             ImageProblem::Plant => Refusal::OtherPlant,
             problem => Refusal::BadImage(problem),
         })?;
-        if image.id != announced {
+        if image.id != id {
             return Err(Refusal::OtherImage);
         }
         Ok(image.id)
@@ -153,13 +178,35 @@ mod tests {
         let ((bytes, id), mut upload) = (image(), Upload::new());
         let expected = 0;
         assert_eq!(upload.chunk(0, &bytes[..10]), Err(Refusal::NoUpload));
-        assert_eq!(upload.begin(IMAGE_BYTES as u32 - 1, id), Err(Refusal::WrongLength));
+        assert_eq!(upload.begin(IMAGE_BYTES as u32 + 1, id), Err(Refusal::WrongLength));
         upload.begin(IMAGE_BYTES as u32, id).unwrap();
         assert_eq!(upload.chunk(128, &bytes[..10]), Err(Refusal::WrongOffset { expected }));
         assert_eq!(upload.commit(DEVELOPMENT), Err(Refusal::WrongOffset { expected }));
         upload.chunk(0, &bytes[..10]).unwrap();
         let expected = 10;
         assert_eq!(upload.chunk(0, &[9; 10]), Err(Refusal::WrongOffset { expected }));
+    }
+
+    #[test]
+    fn a_description_is_as_long_as_it_was_announced_and_has_its_checksum() {
+        let (description, mut upload) = ([7_u8, 8, 9], Upload::new());
+        let id = crc32(&description);
+        let begin = |upload: &mut Upload, length, id| upload.begin(length, id).unwrap();
+        begin(&mut upload, 3, id);
+        assert_eq!(upload.chunk(0, &[7, 8, 9, 10]), Err(Refusal::WrongOffset { expected: 0 }));
+        upload.chunk(0, &description[..2]).unwrap();
+        assert_eq!(upload.description(), Err(Refusal::WrongOffset { expected: 2 }));
+        assert_eq!(begin(&mut upload, 4, id), 0, "another length is another upload");
+        begin(&mut upload, 3, id);
+        upload.chunk(0, &description).unwrap();
+        assert_eq!(upload.commit(DEVELOPMENT), Err(Refusal::WrongLength));
+        begin(&mut upload, 3, id);
+        upload.chunk(0, &description).unwrap();
+        assert_eq!(upload.description(), Ok(&description[..]));
+        assert_eq!(upload.description(), Ok(&description[..]), "asked again");
+        begin(&mut upload, 3, id ^ 1);
+        upload.chunk(0, &description).unwrap();
+        assert_eq!(upload.description(), Err(Refusal::OtherImage));
     }
 
     #[test]

@@ -71,11 +71,11 @@ pub enum Request {
         /// Whether to send batches.
         on: bool,
     },
-    /// Begins an upload; answered by [`Response::Progress`]. Not while ventilating.
+    /// Begins an upload, of weights or of the description of a bench; answered by [`Response::Progress`]. Not while ventilating.
     BeginWeights {
-        /// Length of the image, bytes.
+        /// Length, bytes; that of weights is [`IMAGE_BYTES`](crate::weights::IMAGE_BYTES), others are shorter.
         length: u32,
-        /// Id of the image: the checksum at its end.
+        /// Id: the checksum at the end of the image, or that of a description.
         id: u32,
     },
     /// Transfers the next bytes of the image; answered by [`Response::Progress`].
@@ -147,6 +147,9 @@ pub enum Request {
         /// 0 for the newest, 1 for the one before, and so on.
         back: u16,
     },
+    /// Simulates the bench whose description was uploaded; its id is the CRC-32 of the bytes. Answered by [`Response::Done`]. Only on
+    /// a [`DeviceKind::Desk`], in standby.
+    CommitBench,
 }
 
 impl Request {
@@ -336,6 +339,8 @@ pub enum DeviceKind {
     HardwareInTheLoop,
     /// A program on a computer.
     Simulated,
+    /// A microcontroller that simulates sensors, valves and lung itself.
+    Desk,
 }
 
 /// An unrequested message of the device.

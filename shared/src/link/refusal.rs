@@ -143,6 +143,14 @@ pub enum Refusal {
     /// The board's flash has no room for calibrations.
     #[error("this board has no room for calibrations; use the main board (docs/HARDWARE.md)")]
     NoCalibrations,
+    /// The device does not simulate its plant.
+    #[error("this device simulates no bench: only one with the image for the desk does (docs/HARDWARE.md)")]
+    NoBench,
+    /// The description cannot be used.
+    #[error(
+        "the device cannot simulate this bench: it has room for 4 faults, of which one delays a reading, by at most 250 ms, and 16 changes of the leak; if it has no more, update the older side"
+    )]
+    BadBench,
 }
 
 #[cfg(test)]

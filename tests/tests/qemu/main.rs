@@ -6,6 +6,7 @@
 mod alarms;
 mod calibration;
 mod control;
+mod desk;
 mod failures;
 mod link;
 mod power;
@@ -94,6 +95,14 @@ fn debugger(board: &Emulator) -> Debugger {
 fn breathing(config: EmulatorConfig, lung: &BenchConfig) -> (Emulator, Device) {
     let board = Emulator::start(config, LockstepPlant::new(BenchPlant::new(lung).unwrap())).unwrap();
     let device = connect(&board);
+    (board, device)
+}
+
+/// A board that simulates the bench itself, with a lung; nothing is connected to it but the link.
+fn on_the_desk(bench: &BenchConfig) -> (Emulator, Device) {
+    let board = Emulator::start(config("desk"), Silence).unwrap();
+    let mut device = connect(&board);
+    device.set_bench(&bench.to_bytes()).unwrap();
     (board, device)
 }
 

@@ -1,6 +1,7 @@
 //! The board: one file per board defines its crystal and pins, which no other code depends on. A feature of the crate selects
 //! the board; docs/PORTING.md explains how to add one.
 
+mod plant;
 #[cfg(feature = "stm32f405")]
 #[path = "stm32f405.rs"]
 mod selected;
@@ -20,10 +21,7 @@ use super::drivers::flash::BoardFlash;
 use super::drivers::taken_once;
 use super::drivers::watchdog::Watchdog;
 
-#[cfg(not(feature = "hil"))]
-pub use super::drivers::bedside::Bedside as SelectedPlant;
-#[cfg(feature = "hil")]
-pub use super::drivers::plant_line::PlantLine as SelectedPlant;
+pub use plant::SelectedPlant;
 
 /// A started board: the clocks run, the valves are safe, the link's line is open.
 pub struct Board {
@@ -63,7 +61,7 @@ impl Board {
 /// Starts clocks, valves (safe) and the link's line.
 pub fn start() -> Board {
     let board = selected::start();
-    if cfg!(feature = "hil") {
+    if !cfg!(bedside) {
         // No valve should be connected to this board; if one is, it stays safe.
         force_valves_safe();
     }

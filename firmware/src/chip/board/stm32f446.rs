@@ -13,16 +13,14 @@
 //! | PA9, PA10 | D8, D2 | USART1, the link | idle high by pull-up |
 //! | PA2, PA3 | USB of the debugger | USART2, the plant line (hardware in the loop only) | idle high by pull-up |
 
-#[cfg(not(feature = "hil"))]
 use embassy_stm32::adc::AdcChannel;
-use embassy_stm32::peripherals::{PA6, PB10};
+use embassy_stm32::peripherals::{PA2, PA3, PA6, PB10};
 use embassy_stm32::rcc::{Hse, HseMode};
 use embassy_stm32::time::Hertz;
 
-#[cfg(not(feature = "hil"))]
-use super::super::drivers::{adc::Adc, valves::Valves};
 use super::super::drivers::{alarm_outputs::AlarmOutputs, core_clock, link_uart, open_serial};
-use super::{Board, SelectedPlant};
+use super::Board;
+use super::plant::{self, PlantPins};
 
 /// Clock input from the debugger on the board.
 const CRYSTAL: Hertz = Hertz(8_000_000);
@@ -33,23 +31,26 @@ pub type Inspiratory = PA6;
 /// Expiratory valve.
 pub type Expiratory = PB10;
 
+/// Receiving end of the plant line.
+pub type PlantReceive = PA3;
+/// Sending end of the plant line.
+pub type PlantTransmit = PA2;
+
 /// Starts the clocks and passes pins and peripherals to their drivers.
 pub(super) fn start() -> Board {
     let (chip, crystal) = core_clock::start(Hse { freq: CRYSTAL, mode: HseMode::Bypass });
     open_serial(chip.USART1, chip.PA10, chip.PA9);
     link_uart::start();
-    #[cfg(not(feature = "hil"))]
-    let plant = {
-        // Airway, outlet, flow.
-        let channels = [chip.PA0.degrade_adc(), chip.PA1.degrade_adc(), chip.PA4.degrade_adc()];
-        let valves = Valves::new::<Inspiratory, Expiratory>(chip.TIM3, chip.PA6, chip.PB10);
-        SelectedPlant::new(Adc::new(chip.ADC1, channels), valves)
-    };
-    #[cfg(feature = "hil")]
-    let plant = {
-        open_serial(chip.USART2, chip.PA3, chip.PA2);
-        SelectedPlant::new()
-    };
+    let plant = plant::open(PlantPins {
+        converter: chip.ADC1,
+        channels: [chip.PA0.degrade_adc(), chip.PA1.degrade_adc(), chip.PA4.degrade_adc()],
+        pwm: chip.TIM3,
+        inspiratory: chip.PA6,
+        expiratory: chip.PB10,
+        line: chip.USART2,
+        receive: chip.PA3,
+        transmit: chip.PA2,
+    });
     let alarms = AlarmOutputs::new([chip.PA8.into(), chip.PC7.into(), chip.PB6.into()]);
     Board::new(plant, alarms, crystal, chip.IWDG, chip.FLASH)
 }

@@ -23,12 +23,9 @@ pub struct Adc {
     registers: pac::adc::Adc,
 }
 
-/// An analogue channel of the converter.
-pub type Channel = AnyAdcChannel<'static, ADC1>;
-
 impl Adc {
     /// Starts the converter; [`Self::convert`] returns the counts in the order of the channels.
-    pub fn new(converter: Peri<'static, ADC1>, channels: [Channel; CHANNELS]) -> Self {
+    pub fn new(converter: Peri<'static, ADC1>, channels: [AnyAdcChannel<'static, ADC1>; CHANNELS]) -> Self {
         let driver = adc::Adc::new(converter);
         configure(channels.map(|channel| channel.get_hw_channel()));
         Self { _driver: driver, registers: pac::ADC1 }

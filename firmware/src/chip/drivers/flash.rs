@@ -1,5 +1,5 @@
 //! The flash: its accelerator, and the parts that contain the weights slots, the copies of the flight recorder and the
-//! calibrations. Only memory.x defines their addresses.
+//! calibrations. Only firmware/memory/ defines their addresses.
 
 use core::ptr::addr_of;
 

@@ -1,13 +1,15 @@
 //! Drivers: register access for each function of the board. Computations without registers are in `shared`.
 
-#[cfg(not(feature = "hil"))]
+#[cfg(bedside)]
 pub mod adc;
 pub mod alarm_outputs;
 pub mod backup;
-#[cfg(not(feature = "hil"))]
+#[cfg(bedside)]
 pub mod bedside;
 pub mod clock;
 pub mod core_clock;
+#[cfg(feature = "desk")]
+pub mod desk;
 pub mod flash;
 pub mod link_uart;
 pub mod oscillator;
@@ -16,7 +18,7 @@ pub mod plant_interface;
 pub mod plant_line;
 pub mod reset;
 pub mod supply;
-#[cfg(not(feature = "hil"))]
+#[cfg(bedside)]
 pub mod valves;
 pub mod watchdog;
 

@@ -181,7 +181,7 @@ impl Kind {
         match device {
             DeviceKind::Ventilator => Self::Board,
             DeviceKind::HardwareInTheLoop => Self::Hil,
-            DeviceKind::Simulated => Self::Simulated,
+            DeviceKind::Simulated | DeviceKind::Desk => Self::Simulated,
         }
     }
 }

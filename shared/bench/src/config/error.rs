@@ -4,6 +4,7 @@ use core::fmt::{Display, Write};
 use core::ops::RangeInclusive;
 
 use crate::step::STEP_US;
+use crate::storage::{MOST_FAULTS, MOST_LEAK_CHANGES, MOST_NAME_BYTES};
 
 /// Path of a field, as in the TOML file.
 pub type FieldPath = heapless::String<96>;
@@ -48,6 +49,11 @@ pub enum BenchError {
     #[cfg(not(feature = "std"))]
     #[error("more than one fault delays a reading")]
     Delays,
+    /// The bytes are no description, or one that does not fit.
+    #[error(
+        "the description cannot be read, or has more than {MOST_FAULTS} faults, {MOST_LEAK_CHANGES} changes of the leak or {MOST_NAME_BYTES} letters in its name"
+    )]
+    Unreadable,
     /// The control period is not a multiple of the bench's step.
     #[error("the control period must be a multiple of the bench's step of {STEP_US} us, not {period_us} us")]
     Period {
@@ -60,7 +66,7 @@ pub enum BenchError {
         "unknown lung \"{0}\": use R<cmH2O/(L/s)>C<mL/cmH2O> (such as R20C20), iso-01 to iso-21, either of them on \
          the machine for newborns as in neonate-R100C2, or for several lungs paper, iso, iso-matched or neonate-iso; or name a TOML file"
     )]
-    UnknownName(std::string::String),
+    UnknownName(String),
     #[cfg(feature = "std")]
     /// The file is not a bench description.
     #[error("the bench description is not valid: {0}")]

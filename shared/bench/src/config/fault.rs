@@ -208,7 +208,11 @@ impl FaultConfig {
                 });
             }
         }
-        self.what.numbers().into_iter().flatten().try_for_each(|(name, value, range)| check(name, value, range))
+        self.what
+            .numbers()
+            .into_iter()
+            .flatten()
+            .try_for_each(|(name, value, range)| check(name, value, range))
     }
 }
 
@@ -226,12 +230,19 @@ impl Faulty {
         match *self {
             Self::Sensor { distortion, .. } => distortion.numbers(),
             Self::Part(failure) => [failure_number(failure), None],
-            Self::SupplySwings { least, hz } => {
-                [Some(("what.supply_swings.least", least, 0.0..=1.0)), Some(("what.supply_swings.hz", hz, 0.01..=50.0))]
-            }
+            Self::SupplySwings { least, hz } => [
+                Some(("what.supply_swings.least", least, 0.0..=1.0)),
+                Some(("what.supply_swings.hz", hz, 0.01..=50.0)),
+            ],
             Self::LeakInPhase { l_per_s, .. } => one("what.leak_in_phase.l_per_s", l_per_s, 0.0..=20.0),
-            Self::Lung { resistance, compliance } => [Some(("what.lung.resistance", resistance, 0.02..=50.0)), Some(("what.lung.compliance", compliance, 0.02..=50.0))],
-            Self::Strain(Strain { cmh2o, duration_s }) => [Some(("what.strain.cmh2o", cmh2o, -150.0..=150.0)), Some(("what.strain.duration_s", duration_s, 0.02..=10.0))],
+            Self::Lung { resistance, compliance } => [
+                Some(("what.lung.resistance", resistance, 0.02..=50.0)),
+                Some(("what.lung.compliance", compliance, 0.02..=50.0)),
+            ],
+            Self::Strain(Strain { cmh2o, duration_s }) => [
+                Some(("what.strain.cmh2o", cmh2o, -150.0..=150.0)),
+                Some(("what.strain.duration_s", duration_s, 0.02..=10.0)),
+            ],
         }
     }
 }
@@ -243,15 +254,29 @@ impl Distortion {
             Self::Offset(value) => one("what.sensor.distortion.offset", value, far),
             Self::Gain(value) => one("what.sensor.distortion.gain", value, -10.0..=10.0),
             Self::LagMs(value) => one("what.sensor.distortion.lag_ms", value, 0.0..=10_000.0),
-            Self::DeadTimeMs(value) => one("what.sensor.distortion.dead_time_ms", value, 0.0..=LONGEST_DELAY_MS),
+            Self::DeadTimeMs(value) => {
+                one("what.sensor.distortion.dead_time_ms", value, 0.0..=LONGEST_DELAY_MS)
+            }
             Self::DriftPerS(value) => one("what.sensor.distortion.drift_per_s", value, far),
             Self::Noise(value) => one("what.sensor.distortion.noise", value, 0.0..=1000.0),
-            Self::Hum { amplitude, hz } => [Some(("what.sensor.distortion.hum.amplitude", amplitude, far)), Some(("what.sensor.distortion.hum.hz", hz, 0.01..=500.0))],
+            Self::Hum { amplitude, hz } => [
+                Some(("what.sensor.distortion.hum.amplitude", amplitude, far)),
+                Some(("what.sensor.distortion.hum.hz", hz, 0.01..=500.0)),
+            ],
             Self::Quantum(value) => one("what.sensor.distortion.quantum", value, 1e-6..=1000.0),
-            Self::Saturates { low, high } => [Some(("what.sensor.distortion.saturates.low", low, -1000.0..=high.max(-1000.0))), Some(("what.sensor.distortion.saturates.high", high, far))],
+            Self::Saturates { low, high } => [
+                Some(("what.sensor.distortion.saturates.low", low, -1000.0..=high.max(-1000.0))),
+                Some(("what.sensor.distortion.saturates.high", high, far)),
+            ],
             Self::Freezes => [None, None],
-            Self::Stands { at, noise } => [Some(("what.sensor.distortion.stands.at", at, far)), Some(("what.sensor.distortion.stands.noise", noise, 0.0..=1000.0))],
-            Self::Spikes { share, height } => [Some(("what.sensor.distortion.spikes.share", share, 0.0..=1.0)), Some(("what.sensor.distortion.spikes.height", height, far))],
+            Self::Stands { at, noise } => [
+                Some(("what.sensor.distortion.stands.at", at, far)),
+                Some(("what.sensor.distortion.stands.noise", noise, 0.0..=1000.0)),
+            ],
+            Self::Spikes { share, height } => [
+                Some(("what.sensor.distortion.spikes.share", share, 0.0..=1.0)),
+                Some(("what.sensor.distortion.spikes.height", height, far)),
+            ],
             Self::Missing(share) => one("what.sensor.distortion.missing", share, 0.0..=1.0),
         }
     }

@@ -8,6 +8,7 @@ mod patient;
 mod sensors;
 #[cfg(feature = "std")]
 mod text;
+mod wire;
 
 pub use blower::BlowerConfig;
 pub use error::BenchError;

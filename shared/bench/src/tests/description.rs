@@ -1,7 +1,7 @@
 //! The parameter file and the names of lungs.
 
 use super::all_lungs;
-use crate::{Bench, BenchConfig, BenchError, BlowerConfig, CompartmentConfig, LeakChange};
+use crate::{Bench, BenchConfig, BenchError, BlowerConfig, CompartmentConfig, FaultConfig, LeakChange};
 
 fn refused(text: &str) -> String {
     BenchConfig::from_toml(text).unwrap_err().to_string()
@@ -18,6 +18,44 @@ fn every_preset_is_valid_and_round_trips() {
         config.expiratory.peep_band_cmh2o = Some(2.0);
         assert_eq!(BenchConfig::from_toml(&config.to_toml()).unwrap(), config);
     }
+}
+
+#[test]
+fn every_preset_comes_back_from_its_bytes() {
+    for mut config in all_lungs() {
+        config.unit.number = u32::MAX;
+        config.circuit.leak_changes = vec![LeakChange { at_s: 60.0, leak_l_per_s_at_30_cmh2o: 0.3 }];
+        config.blower = Some(BlowerConfig::default());
+        config.faults = faults();
+        let bytes = config.to_bytes();
+        assert!(bytes.len() < 4_096, "{}", bytes.len());
+        assert_eq!(BenchConfig::from_bytes(&bytes).unwrap(), config);
+        for end in 0..bytes.len() {
+            assert!(BenchConfig::from_bytes(&bytes[..end]).is_err(), "{end} of the bytes");
+        }
+    }
+    let mut wrong = BenchConfig::default();
+    wrong.valve.lag_ms = -1.0;
+    assert!(matches!(BenchConfig::from_bytes(&wrong.to_bytes()), Err(BenchError::OutOfRange { .. })));
+}
+
+/// A fault of every kind that has a form of its own.
+fn faults() -> Vec<FaultConfig> {
+    let text = "[[faults]]
+        from_s = 30
+        to_s = 120
+        what = { sensor = { signal = \"airway\", distortion = { saturates = { low = 0, high = 50 } } } }
+        [[faults]]
+        from_s = 60
+        repeats = { for_s = 3, every_s = 9 }
+        what = { part = { tube_narrowed = 8 } }
+        [[faults]]
+        from_s = 45
+        what = { sensor = { signal = \"flow\", distortion = \"freezes\" } }
+        [[faults]]
+        from_s = 45
+        what = { part = \"supply_lost\" }";
+    BenchConfig::from_toml(text).unwrap().faults
 }
 
 #[test]

@@ -32,6 +32,7 @@ fn changes() -> Vec<Request> {
         Request::BeginWeights { length: IMAGE_BYTES as u32, id: 3 },
         Request::WeightsChunk { offset: 0, bytes: heapless::Vec::new() },
         Request::CommitWeights,
+        Request::CommitBench,
         Request::Reset,
         Request::GetTiming { clear: true },
         Request::ResetPlant { seed: 1 },

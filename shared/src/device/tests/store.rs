@@ -48,6 +48,27 @@ fn nothing_is_stored_while_a_check_moves_the_valves() {
     assert_eq!(rig.flash.images.len(), 0);
 }
 
+#[test]
+fn a_bench_is_taken_over_in_standby_by_a_device_that_simulates_one() {
+    let (mut rig, description) = (Rig::new(None), [1_u8, 2, 3]);
+    let send = |rig: &mut Rig| {
+        let begin = Request::BeginWeights { length: 3, id: crate::checksum::crc32(&description) };
+        assert_eq!(rig.ask(begin), Response::Progress { offset: 0 });
+        let bytes = description.into_iter().collect();
+        assert_eq!(rig.ask(Request::WeightsChunk { offset: 0, bytes }), Response::Progress { offset: 3 });
+    };
+    send(&mut rig);
+    assert_eq!(rig.ask(Request::CommitBench), Response::Refused(Refusal::NoBench));
+    rig.flash.benches = Some(std::vec::Vec::new());
+    send(&mut rig);
+    rig.start();
+    assert_eq!(rig.ask(Request::CommitBench), Response::Refused(Refusal::Ventilating));
+    rig.ask(Request::Stop);
+    assert_eq!(rig.ask(Request::CommitBench), Response::Done);
+    assert_eq!(rig.flash.benches, Some(std::vec![description.to_vec()]));
+    assert_eq!(rig.ask(Request::CommitBench), Response::Done, "a host whose answer was lost asks again");
+}
+
 /// A request to a device whose control half may wait to resume.
 fn ask_through(rig: &mut Rig, prescription: &mut Prescription, request: Request) -> Response {
     rig.sequence += 1;

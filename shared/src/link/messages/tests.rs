@@ -157,6 +157,7 @@ fn requests() -> StdVec<(Request, &'static str)> {
             "ac021b0000003f6666863f000040410000c8410000803e0000403f0000a03f0000e03f80a4a7da06",
         ),
         (Request::GetCalibration { back: 300 }, "ac021cac02"),
+        (Request::CommitBench, "ac021d"),
     ]
 }
 

@@ -121,7 +121,8 @@ fn classical(training: &[&Breath], held_out: &[&Breath]) -> Option<f64> {
 
 /// Names of the parameters that are not within the ranges of the family `blower`.
 fn outside(values: &Values) -> Vec<&'static str> {
-    let family: Table = toml::from_str(include_str!("../../../../../host/plant/src/bench/family/blower.toml")).unwrap();
+    let family: Table =
+        toml::from_str(include_str!("../../../../../host/plant/src/bench/family/blower.toml")).unwrap();
     let is_within = |place: usize, path: &str| {
         let (table, name) = path.split_once('.').unwrap();
         let range = family["family"][table][name].as_table().unwrap().values().next().unwrap();

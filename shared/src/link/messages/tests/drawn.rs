@@ -61,6 +61,7 @@ fn request() -> impl Strategy<Value = Request> {
         Just(Request::GetLease),
         calibration().prop_map(Request::StoreCalibration),
         any::<u16>().prop_map(|back| Request::GetCalibration { back }),
+        Just(Request::CommitBench),
     ]
 }
 
