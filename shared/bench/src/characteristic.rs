@@ -161,7 +161,7 @@ mod tests {
         fn the_points_that_a_chip_keeps_are_those_of_the_table(
             exponent in 0.5..4.0, places in prop::collection::vec(0..=INTERVALS, 1..40), steps in 0..3_u32,
         ) {
-            let table = tabulated::Points::new(exponent);
+            let table = Points::new(exponent);
             let mut kept = kept::Points::new(exponent);
             for place in places {
                 for index in [place, (place + steps).min(INTERVALS), place.saturating_sub(steps)] {

@@ -2,10 +2,10 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::STEP_S;
 use super::config::FlowSensorConfig;
 use super::lag::Lag;
 use crate::random::normal;
+use crate::step::STEP_S;
 
 /// The sensor and its state. Its lag moves once per step, with the mean flow of the step.
 #[derive(Clone, Debug)]

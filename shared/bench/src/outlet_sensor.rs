@@ -2,9 +2,9 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::STEP_S;
 use super::config::OutletSensorConfig;
 use super::sensor::Sensor;
+use crate::step::STEP_S;
 
 /// The sensor and its state. Its lag moves once per step, with the mean flow of the step.
 #[derive(Clone, Debug)]

@@ -121,11 +121,7 @@ mod tabulated {
             let found = density(x);
             x += (found - value) / (x * found);
             // A step beyond the tail's end would not return.
-            if !(x > 0.01) {
-                x = 0.01;
-            } else if x > 4.0 {
-                x = 4.0;
-            }
+            x = x.clamp(0.01, 4.0);
             round += 1;
         }
         x

@@ -111,6 +111,11 @@ impl Body {
     }
 }
 
+/// Beginning of a path: a nameless step before the name of another crate, as in `::bench`.
+fn root(is_global: bool) -> Path {
+    if is_global { vec![String::new()] } else { Path::new() }
+}
+
 impl<'ast> Visit<'ast> for Body {
     fn visit_item(&mut self, item: &'ast Item) {
         if !matches!(item, Item::Mod(_)) && !is_test(attributes(item)) {
@@ -125,7 +130,11 @@ impl<'ast> Visit<'ast> for Body {
     }
 
     fn visit_item_use(&mut self, item: &'ast ItemUse) {
-        self.add_use(Path::new(), &item.tree, matches!(item.vis, Visibility::Inherited));
+        self.add_use(
+            root(item.leading_colon.is_some()),
+            &item.tree,
+            matches!(item.vis, Visibility::Inherited),
+        );
     }
 
     fn visit_visibility(&mut self, _: &'ast Visibility) {
@@ -133,7 +142,8 @@ impl<'ast> Visit<'ast> for Body {
     }
 
     fn visit_path(&mut self, path: &'ast syn::Path) {
-        self.add(path.segments.iter().map(|segment| segment.ident.to_string()).collect());
+        let names = path.segments.iter().map(|segment| segment.ident.to_string());
+        self.add(root(path.leading_colon.is_some()).into_iter().chain(names).collect());
         visit::visit_path(self, path);
     }
 

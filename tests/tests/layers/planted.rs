@@ -81,6 +81,7 @@ fn a_planted_offence_is_found_and_test_code_is_left_alone() {
         "#[cfg(test)] mod tests { use crate::high::Thing; }",
         "#[cfg(all(test, unix))] use crate::high::Thing;",
         "struct Own; impl Own { #[cfg(test)] fn f() { crate::high::f() } }",
+        "use ::high::Thing; fn f(_: ::high::Thing) {}",
         "/// Like [`crate::high::Thing`].\nfn f() {}",
     ] {
         assert_eq!(offences(low, innocent), 0, "{innocent}");

@@ -26,6 +26,9 @@ impl Krate {
         if imports > MOST_IMPORTS {
             return None;
         }
+        if path.first().is_some_and(String::is_empty) {
+            return None;
+        }
         let mut module = within.to_vec();
         for (index, name) in path.iter().enumerate() {
             let rest = &path[index + 1..];
@@ -75,6 +78,11 @@ impl Krate {
 
     /// The first name of a path that leads out of this crate: that of another crate.
     pub fn outside<'a>(&self, within: &[String], path: &'a [String]) -> Option<&'a str> {
+        if let [root, name, ..] = path
+            && root.is_empty()
+        {
+            return Some(name);
+        }
         let first = path.first().filter(|_| path.len() > 1)?;
         let inner = [within, from_ref(first)].concat();
         let is_inside = ["crate", "self", "super"].contains(&first.as_str())

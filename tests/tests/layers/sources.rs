@@ -12,7 +12,7 @@ use crate::paths::{self, Body};
 
 /// Folders with a crate; each house may hold more of them, one folder down.
 const FOLDERS: [&str; 7] = ["shared", "host", "lab", "python", "firmware", "firmware/shim", "xtask"];
-const HOUSES: [&str; 2] = ["host", "lab"];
+const HOUSES: [&str; 3] = ["shared", "host", "lab"];
 
 /// A library or a program: a root file and the files below it.
 pub struct Krate {

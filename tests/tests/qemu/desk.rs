@@ -7,7 +7,7 @@ use super::*;
 
 /// A run of some breaths with exploration.
 fn breaths() -> CollectConfig {
-    CollectConfig { breaths: 6, seed: (1 << 51) + 3, ..CollectConfig::default() }
+    CollectConfig { breaths: 3, seed: (1 << 51) + 3, ..CollectConfig::default() }
 }
 
 fn recorded(source: &mut dyn Source) -> Collected {
@@ -36,11 +36,11 @@ fn benches() -> Vec<BenchConfig> {
         from_s = 3
         what = { sensor = { signal = \"converter\", distortion = { dead_time_ms = 30 } } }
         [[faults]]
-        from_s = 5
+        from_s = 4
         what = { sensor = { signal = \"outlet\", distortion = { hum = { amplitude = 0.3, hz = 50 } } } }
         [[faults]]
-        from_s = 7
-        to_s = 9
+        from_s = 5
+        to_s = 7
         what = { supply_swings = { least = 0.8, hz = 2 } }
         [[faults]]
         from_s = 2
@@ -63,23 +63,11 @@ fn golden_traces_of_any_bench_are_the_hosts_bit_for_bit() {
         let settings = breaths().settings;
         let mut here = BenchSource::new(&bench, controller(), &settings, 1000, breaths().seed).unwrap();
         let here = recorded(&mut here);
-        let (board, device) = on_the_desk(&bench);
+        let (_board, device) = on_the_desk(&bench);
         let there = recorded(&mut PortSource::new(device, breaths().seed).unwrap());
-        if std::env::var_os("DBG").is_some() {
-            eprintln!("{:?}", connect(&board).timing(false).unwrap());
-            for e in &connect(&board).blackbox(&Progress::silent()).unwrap().log {
-                eprintln!("{e:?}");
-            }
-        }
         let (here, there) = (here.recording, there.recording);
-        assert!(here.pressure.len() > 5_000, "{}", bench.name);
+        assert!(here.pressure.len() > 2_500, "{}", bench.name);
         let name = &bench.name;
-        eprintln!(
-            "{:?} {:?} {:?}",
-            first_difference(&here.u_in, &there.u_in),
-            first_difference(&here.target, &there.target),
-            first_difference(&here.explore, &there.explore)
-        );
         assert_eq!(first_difference(&here.pressure, &there.pressure), None, "{name}: pressure");
         assert_eq!(first_difference(&here.u_in, &there.u_in), None, "{name}: command");
     }

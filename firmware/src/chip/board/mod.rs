@@ -10,11 +10,12 @@ mod selected;
 mod selected;
 
 use embassy_stm32::Peri;
+use embassy_stm32::adc::AnyAdcChannel;
 use embassy_stm32::gpio::{AnyPin, Level, Output, Speed};
-use embassy_stm32::peripherals::{FLASH, IWDG};
+use embassy_stm32::peripherals::{ADC1, FLASH, IWDG, TIM3, USART2};
 use shared::timing::WATCHDOG_US;
 
-pub use selected::{Expiratory, Inspiratory};
+pub use selected::{Expiratory, Inspiratory, PlantReceive, PlantTransmit};
 
 use super::drivers::alarm_outputs::AlarmOutputs;
 use super::drivers::flash::BoardFlash;
@@ -22,6 +23,27 @@ use super::drivers::taken_once;
 use super::drivers::watchdog::Watchdog;
 
 pub use plant::SelectedPlant;
+
+/// The peripherals and pins of sensors, valves and plant line.
+#[allow(dead_code, reason = "each image uses its own part of them")]
+pub struct PlantPins {
+    /// Converter of the sensors.
+    pub converter: Peri<'static, ADC1>,
+    /// Airway, outlet, flow.
+    pub channels: [AnyAdcChannel<'static, ADC1>; 3],
+    /// Timer of the inspiratory valve's pulses.
+    pub pwm: Peri<'static, TIM3>,
+    /// Inspiratory valve.
+    pub inspiratory: Peri<'static, Inspiratory>,
+    /// Expiratory valve.
+    pub expiratory: Peri<'static, Expiratory>,
+    /// Plant line.
+    pub line: Peri<'static, USART2>,
+    /// Its receiving end.
+    pub receive: Peri<'static, PlantReceive>,
+    /// Its sending end.
+    pub transmit: Peri<'static, PlantTransmit>,
+}
 
 /// A started board: the clocks run, the valves are safe, the link's line is open.
 pub struct Board {

@@ -19,8 +19,7 @@ use embassy_stm32::rcc::{Hse, HseMode};
 use embassy_stm32::time::Hertz;
 
 use super::super::drivers::{alarm_outputs::AlarmOutputs, core_clock, link_uart, open_serial};
-use super::Board;
-use super::plant::{self, PlantPins};
+use super::{Board, PlantPins, plant};
 
 /// Clock input from the debugger on the board.
 const CRYSTAL: Hertz = Hertz(8_000_000);

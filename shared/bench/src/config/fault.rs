@@ -18,8 +18,7 @@ use core::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-use super::{BenchError, PEEP_RANGE_CMH2O, check};
-use crate::Failure;
+use super::{BenchError, Failure, PEEP_RANGE_CMH2O, check};
 use crate::storage::MOST_DELAY_MS;
 
 /// Longest time of a bench, s.

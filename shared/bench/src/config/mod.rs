@@ -2,6 +2,7 @@
 
 mod blower;
 mod error;
+mod failure;
 mod fault;
 mod machine;
 mod patient;
@@ -13,6 +14,7 @@ mod wire;
 pub use blower::BlowerConfig;
 pub use error::BenchError;
 pub(super) use error::check;
+pub use failure::Failure;
 pub use fault::{Distortion, FaultConfig, Faulty, Repeats, Signal, Strain};
 pub use machine::{CircuitConfig, ExpiratoryConfig, LeakChange, UnitConfig, ValveConfig};
 pub(super) use patient::MOST_EFFORT_CMH2O;

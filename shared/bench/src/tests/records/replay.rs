@@ -1,8 +1,9 @@
 //! The bench under the commands of a record.
 
 use super::breaths::Breath;
+use crate::blower::Blower;
 use crate::lag::Lag;
-use crate::{Bench, BenchConfig, Blower, BlowerConfig, STEP_S};
+use crate::{Bench, BenchConfig, BlowerConfig, STEP_S};
 
 /// Number of parameters.
 pub(super) const COUNT: usize = 18;

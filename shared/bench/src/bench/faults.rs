@@ -4,11 +4,12 @@ use core::f64::consts::TAU;
 
 use rand_chacha::ChaCha8Rng;
 
-use super::config::{Distortion, FaultConfig, Faulty, Signal};
-use super::{Bench, STEP_S};
+use super::Bench;
+use crate::config::{Distortion, FaultConfig, Faulty, Signal};
 use crate::delay::Delay;
 use crate::math::{cos, exp, round, sin};
 use crate::random::{self, normal, stream};
+use crate::step::STEP_S;
 use crate::storage::{List, MOST_FAULTS};
 
 /// `ChaCha` stream of the first distorted signal; each has one of its own.
