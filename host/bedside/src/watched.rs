@@ -1,10 +1,11 @@
 //! What is known about a device, and the messages that its news become. Reads no clock: times are in ms since 1970.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 
+use device::impossible;
 use monitoring::reported::Reported;
-use monitoring::{News, words};
+use monitoring::{News, POLLED, words};
 use shared::control::memory::{LEARNING, Lesson};
 use shared::link::messages::{ControllerChoice, Event, LeaseStatus, Request, Response};
 use shared::link::telemetry::{BreathSummary, TelemetryBatch};
@@ -25,6 +26,8 @@ use crate::stream::{
 const UNANSWERED_MS: u64 = 3000;
 /// Time without samples after which a device that ventilates counts as lost, ms.
 const UNSAMPLED_MS: u64 = 800;
+/// Largest number of things that a page is told about a device that is wrong in ever new ways.
+const COMPLAINTS: usize = 16;
 /// Arrivals that are remembered for the latencies: ten seconds of a chip's batches.
 const ARRIVALS: usize = 640;
 
@@ -83,6 +86,8 @@ pub struct Watched {
     samples: u64,
     /// Number of the ticks' statistics, which a restart sets back.
     ticks: u32,
+    /// What the device does not report, or reports wrongly, in words, and whether pages were told.
+    complaints: BTreeMap<String, bool>,
 }
 
 impl Watched {
@@ -106,6 +111,7 @@ impl Watched {
             before: LineInfo::default(),
             samples: 0,
             ticks: 0,
+            complaints: BTreeMap::new(),
         }
     }
 
@@ -145,6 +151,8 @@ impl Watched {
             }
             News::Lost(reason) if connected => {
                 self.answered_ms = None;
+                // Requests that failed with the line are part of its loss.
+                self.complaints.retain(|_, told| *told);
                 self.summary = None;
                 // The next line counts from zero.
                 self.before = self.line;
@@ -156,9 +164,26 @@ impl Watched {
                     lost_batches: self.before.lost_batches + traffic.lost_batches,
                     dropped: traffic.device.dropped,
                 };
+                self.tell_complaints(now_ms, out);
+            }
+            News::Answer { result: Err(reason), request } if POLLED.contains(request) => {
+                self.complain(format!("not shown: {reason}"));
             }
             News::Answer { .. } | News::Lost(_) => {}
         }
+    }
+
+    /// Notes what is wrong with the device, until the line has shown that it is not the line.
+    fn complain(&mut self, what: String) {
+        if self.complaints.len() < COMPLAINTS {
+            self.complaints.entry(what).or_insert(false);
+        }
+    }
+
+    fn tell_complaints(&mut self, now_ms: u64, out: &mut Vec<Out>) {
+        let untold = self.complaints.iter().filter(|(_, told)| !**told);
+        out.extend(untold.map(|(text, _)| self.event(now_ms, EventKind::Device, text)));
+        self.complaints.values_mut().for_each(|told| *told = true);
     }
 
     fn is_connected(&self) -> bool {
@@ -197,6 +222,11 @@ impl Watched {
 
     fn samples(&mut self, batch: &TelemetryBatch, now_ms: u64, out: &mut Vec<Out>) {
         for (tick, packed) in (batch.first_tick..).zip(&batch.samples) {
+            let sample = packed.unpack();
+            if let Some(what) = impossible(&sample) {
+                self.complain(format!("samples left out: the device sends {what} (docs/DEVICE_LINK.md)"));
+                continue;
+            }
             let follows = tick == self.first_tick + self.points.len() as u64;
             if !follows || self.points.len() == SAMPLES_MAX {
                 self.flush(out);
@@ -204,7 +234,7 @@ impl Watched {
             if self.points.is_empty() {
                 self.first_tick = tick;
             }
-            let (point, figures) = self.meter.take(tick, &packed.unpack(), self.reported.in_force.as_ref());
+            let (point, figures) = self.meter.take(tick, &sample, self.reported.in_force.as_ref());
             self.points.push(point);
             let device = self.device;
             out.extend(

@@ -9,6 +9,7 @@ use shared::recorder::{
     SLOW_ENTRIES, SLOW_STRIDE, TickEntry,
 };
 
+use super::answers::unexpected;
 use super::{Device, DeviceError};
 
 /// Reading a flight recorder: entries.
@@ -178,7 +179,7 @@ impl Device {
     pub fn recorder(&mut self) -> Result<RecorderStatus, DeviceError> {
         match self.request(&Request::GetRecorder)? {
             Response::Recorder(status) => Ok(status),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(&Request::GetRecorder, &other)),
         }
     }
 
@@ -198,7 +199,7 @@ impl Device {
             let left = reading.left();
             match self.request(&request)? {
                 Response::Recorded(page) if reading.take(&page) => task.advance(left - reading.left()),
-                _ => return Err(DeviceError::Unexpected),
+                other => return Err(unexpected(&request, &other)),
             }
         }
         task.finish();

@@ -8,6 +8,7 @@
 
 #![forbid(unsafe_code)]
 
+mod answers;
 pub mod blackbox;
 mod host;
 pub mod keys;
@@ -30,12 +31,15 @@ use shared::link::messages::{
     AlarmStatus, ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response, ToDevice,
 };
 use shared::link::refusal::Refusal;
-use shared::settings::Settings;
+use shared::settings::{Settings, SettingsError};
 use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 use thiserror::Error;
 
+pub use answers::impossible;
+use answers::{LONGEST_US, SHORTEST_US, kind, unexpected};
 pub use host::name as host_name;
+pub use line::Heard;
 use line::{Answer, Line};
 pub use monitoring::LineCounters;
 use port::{Address, Port, PortError};
@@ -64,6 +68,16 @@ pub enum DeviceError {
     /// The device does not answer.
     #[error("{0} does not answer: check cable, power and firmware (`trainer flash board.elf` loads it)")]
     Silent(Address),
+    /// The device sends, but no answer to what was asked.
+    #[error(
+        "{address} sends, but does not answer: {heard}; check the line's speed, and compare the device with docs/DEVICE_LINK.md"
+    )]
+    Babbles {
+        /// The address.
+        address: Address,
+        /// What it has sent.
+        heard: Heard,
+    },
     /// The line broke.
     #[error("the connection to {0} was lost: reconnect the device and repeat the command")]
     Gone(Address),
@@ -76,9 +90,36 @@ pub enum DeviceError {
     /// The user asked to stop.
     #[error("stopped; nothing on the device has changed: repeat the command to continue")]
     Stopped,
+    /// The device does not know the request.
+    #[error(
+        "the device does not know the request {0}: update its firmware, or do without (docs/DEVICE_LINK.md lists what a small device leaves out)"
+    )]
+    Unknown(String),
     /// The answer does not belong to the request.
-    #[error("the device's answer does not belong to the request: update the older side")]
-    Unexpected,
+    #[error(
+        "the device answers {request} with {response}: update the older side, or compare the device with docs/DEVICE_LINK.md"
+    )]
+    Unexpected {
+        /// Name of the request.
+        request: String,
+        /// Name of the response.
+        response: String,
+    },
+    /// An upload makes no progress.
+    #[error(
+        "the device asks for offset {0} of the image again and again: update its firmware, or compare the device with docs/DEVICE_LINK.md"
+    )]
+    Stuck(usize),
+    /// The greeting has a control period that no ventilator of this project can have.
+    #[error(
+        "the device gives its control period as {0} us, allowed are {SHORTEST_US} to {LONGEST_US}: correct period_us in its greeting (docs/DEVICE_LINK.md)"
+    )]
+    Period(u32),
+    /// The device reports settings that no ventilator of this project accepts.
+    #[error(
+        "the device reports impossible settings: {0}; compare their order and units with docs/DEVICE_LINK.md"
+    )]
+    Settings(SettingsError),
 }
 
 /// A connected device.
@@ -202,11 +243,16 @@ impl Device {
 
     fn exchange_passing(&mut self, request: &Request, pass: &mut Pass<'_>) -> Result<Response, DeviceError> {
         let message = self.message(request);
+        let before = self.line.heard();
         for _ in 0..ATTEMPTS {
             self.line.send(&message).map_err(|_| DeviceError::Gone(self.address.clone()))?;
             match self.answer(ANSWER_TIME, pass)? {
+                Some(Response::Refused(Refusal::UnknownRequest)) => {
+                    return Err(DeviceError::Unknown(kind(request)));
+                }
                 Some(Response::Refused(refusal)) => return Err(refusal.into()),
                 Some(response) => {
+                    answers::check(request, &response)?;
                     if let Response::Lease(status) = &response {
                         self.steers = status.yours;
                     }
@@ -215,7 +261,12 @@ impl Device {
                 None => tracing::debug!(?request, "no answer, asking again"),
             }
         }
-        Err(DeviceError::Silent(self.address.clone()))
+        let (address, heard) = (self.address.clone(), self.line.heard().since(&before));
+        Err(if heard.bytes == 0 {
+            DeviceError::Silent(address)
+        } else {
+            DeviceError::Babbles { address, heard }
+        })
     }
 
     /// The next message to the device.
@@ -243,7 +294,8 @@ impl Device {
                 Ok(Answer::Response { sequence, response }) if sequence == self.sequence => {
                     return Ok(Some(*response));
                 }
-                // A late answer to an abandoned request.
+                // A late answer to an abandoned request. A device that sends nothing else must not keep this going.
+                Ok(Answer::Response { .. }) if left.is_zero() => return Ok(None),
                 Ok(Answer::Response { .. }) => {}
                 Ok(Answer::OtherProtocol(device)) => return Err(DeviceError::Protocol(device)),
                 Err(RecvTimeoutError::Timeout) if turn < left => {}
@@ -265,7 +317,7 @@ impl Device {
         match self.request(&Request::Identify)? {
             Response::Identity(identity) if identity.protocol == PROTOCOL => Ok(identity),
             Response::Identity(identity) => Err(DeviceError::Protocol(identity.protocol)),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(&Request::Identify, &other)),
         }
     }
 
@@ -282,7 +334,7 @@ impl Device {
     fn expect_settings(&mut self, request: &Request) -> Result<(Settings, Option<Settings>), DeviceError> {
         match self.request(request)? {
             Response::Settings { in_force, pending } => Ok((in_force, pending)),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(request, &other)),
         }
     }
 
@@ -290,7 +342,7 @@ impl Device {
     pub fn queue(&mut self, settings: Settings) -> Result<usize, DeviceError> {
         match self.request(&Request::QueueSettings(settings))? {
             Response::Queued { free } => Ok(free.into()),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(&Request::QueueSettings(settings), &other)),
         }
     }
 
@@ -326,7 +378,7 @@ impl Device {
     fn expect_report(&mut self, request: &Request) -> Result<Report, DeviceError> {
         match self.request(request)? {
             Response::SelfTest(report) => Ok(report),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(request, &other)),
         }
     }
 
@@ -344,7 +396,7 @@ impl Device {
     pub fn alarms(&mut self) -> Result<AlarmStatus, DeviceError> {
         match self.request(&Request::GetAlarms)? {
             Response::Alarms(alarms) => Ok(alarms),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(&Request::GetAlarms, &other)),
         }
     }
 
@@ -361,7 +413,7 @@ impl Device {
     fn expect_audio(&mut self, request: &Request) -> Result<AudioStatus, DeviceError> {
         match self.request(request)? {
             Response::Audio(audio) => Ok(audio),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(request, &other)),
         }
     }
 
@@ -383,20 +435,21 @@ impl Device {
     fn expect_lease(&mut self, request: &Request) -> Result<LeaseStatus, DeviceError> {
         match self.exchange(request)? {
             Response::Lease(status) => Ok(status),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(request, &other)),
         }
     }
 
     fn expect_mode(&mut self, request: &Request) -> Result<Mode, DeviceError> {
         match self.request(request)? {
             Response::Mode(mode) => Ok(mode),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(request, &other)),
         }
     }
 
     /// For requests whose answer only confirms them.
     fn expect(&mut self, request: &Request, done: impl Fn(&Response) -> bool) -> Result<(), DeviceError> {
-        if done(&self.request(request)?) { Ok(()) } else { Err(DeviceError::Unexpected) }
+        let response = self.request(request)?;
+        if done(&response) { Ok(()) } else { Err(unexpected(request, &response)) }
     }
 
     /// Selects another controller from the next breath on.
@@ -420,7 +473,7 @@ impl Device {
     pub fn timing(&mut self, clear: bool) -> Result<TickTimes, DeviceError> {
         match self.request(&Request::GetTiming { clear })? {
             Response::Timing(times) => Ok(times),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(&Request::GetTiming { clear }, &other)),
         }
     }
 
@@ -438,7 +491,7 @@ impl Device {
     fn expect_calibration(&mut self, request: &Request) -> Result<(u16, Option<Calibration>), DeviceError> {
         match self.request(request)? {
             Response::Calibration { stored, calibration } => Ok((stored, calibration)),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(request, &other)),
         }
     }
 
@@ -457,9 +510,12 @@ impl Device {
             let greeting =
                 if gone { self.reconnect().and_then(|()| self.identify()) } else { self.identify() };
             match greeting {
-                Err(DeviceError::Port(_) | DeviceError::Gone(_) | DeviceError::Silent(_))
-                    if Instant::now() < deadline =>
-                {
+                Err(
+                    DeviceError::Port(_)
+                    | DeviceError::Gone(_)
+                    | DeviceError::Silent(_)
+                    | DeviceError::Babbles { .. },
+                ) if Instant::now() < deadline => {
                     std::thread::sleep(Duration::from_millis(100));
                 }
                 other => return other,

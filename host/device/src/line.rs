@@ -1,5 +1,6 @@
 //! The thread that reads a device's line, and the half that writes to it.
 
+use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -7,6 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use shared::link::PROTOCOL;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{Event, Response, ToDevice, ToHost, greeted_protocol, read_reply};
 use shared::link::telemetry::LossCounter;
@@ -14,8 +16,50 @@ use shared::link::telemetry::LossCounter;
 use crate::port::Port;
 use monitoring::LineCounters;
 
+/// What a line has brought that answers nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Heard {
+    /// Bytes of any kind.
+    pub bytes: u64,
+    /// Damaged frames.
+    pub corrupt: u64,
+    /// Sound frames without a message of this version, or with samples that no device can send.
+    pub unreadable: u64,
+    /// Answers, of whatever sequence number.
+    pub answers: u64,
+    /// Events.
+    pub events: u64,
+}
+
+impl Heard {
+    /// What came after `before`.
+    #[must_use]
+    pub(super) fn since(&self, before: &Self) -> Self {
+        Self {
+            bytes: self.bytes.wrapping_sub(before.bytes),
+            corrupt: self.corrupt.wrapping_sub(before.corrupt),
+            unreadable: self.unreadable.wrapping_sub(before.unreadable),
+            answers: self.answers.wrapping_sub(before.answers),
+            events: self.events.wrapping_sub(before.events),
+        }
+    }
+}
+
+impl fmt::Display for Heard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { bytes, corrupt, unreadable, answers, events } = self;
+        write!(
+            f,
+            "{bytes} bytes came, with {corrupt} damaged frames, {unreadable} without a message of protocol {PROTOCOL}, \
+             {answers} answers under other sequence numbers and {events} events"
+        )
+    }
+}
+
 /// Number of bytes read at once.
 const CHUNK: usize = 4096;
+/// Tick that no device reaches, and up to which a page counts exactly.
+const LAST_TICK: u64 = 1 << 53;
 /// Pause after a read, to let more bytes arrive.
 const LULL: Duration = Duration::from_millis(1);
 
@@ -31,7 +75,7 @@ pub(super) struct Line {
     pub(super) answers: Receiver<Answer>,
     pub(super) events: Receiver<Event>,
     pub(super) broken: Arc<AtomicBool>,
-    counters: Arc<Mutex<LineCounters>>,
+    counters: Arc<Mutex<(LineCounters, Heard)>>,
     closing: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -43,11 +87,12 @@ impl Line {
         let (events, happened) = channel();
         let broken = Arc::new(AtomicBool::new(false));
         let closing = Arc::new(AtomicBool::new(false));
-        let counters = Arc::new(Mutex::new(LineCounters::default()));
+        let counters = Arc::default();
         let reader = Reader {
             answers,
             events,
             losses: LossCounter::default(),
+            heard: Heard::default(),
             counters: Arc::clone(&counters),
             decoder: FrameDecoder::new(),
         };
@@ -85,7 +130,12 @@ impl Line {
     }
 
     pub(super) fn counters(&self) -> LineCounters {
-        *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
+        self.counters.lock().unwrap_or_else(PoisonError::into_inner).0
+    }
+
+    /// What has come so far.
+    pub(super) fn heard(&self) -> Heard {
+        self.counters.lock().unwrap_or_else(PoisonError::into_inner).1
     }
 
     /// Stops reading and closes the port.
@@ -109,7 +159,8 @@ struct Reader {
     answers: Sender<Answer>,
     events: Sender<Event>,
     losses: LossCounter,
-    counters: Arc<Mutex<LineCounters>>,
+    heard: Heard,
+    counters: Arc<Mutex<(LineCounters, Heard)>>,
     decoder: FrameDecoder<DECODER_BYTES>,
 }
 
@@ -121,10 +172,8 @@ impl Reader {
             match from.read(&mut chunk) {
                 Ok(0) => return,
                 Ok(count) => {
-                    for byte in &chunk[..count] {
-                        if !self.take(*byte) {
-                            return;
-                        }
+                    if !self.take_all(&chunk[..count]) {
+                        return;
                     }
                     // A virtual board sends byte by byte; waking up for each of them would slow it down.
                     thread::sleep(LULL);
@@ -138,13 +187,35 @@ impl Reader {
         }
     }
 
+    /// Processes bytes; false when the receiver has gone.
+    fn take_all(&mut self, bytes: &[u8]) -> bool {
+        self.heard.bytes += bytes.len() as u64;
+        let alive = bytes.iter().all(|byte| self.take(*byte));
+        // Also without a whole frame: what answers nothing is counted.
+        self.counters.lock().unwrap_or_else(PoisonError::into_inner).1 = self.heard;
+        alive
+    }
+
     /// Processes a byte; false when the receiver has gone.
     fn take(&mut self, byte: u8) -> bool {
         let message = match self.decoder.push(byte) {
             Poll::Pending => return true,
-            Poll::Frame(content) => read_reply(content).map_err(|_| greeted_protocol(content)),
+            Poll::Frame(content) => match read_reply(content) {
+                Ok(message) if is_possible(&message) => Ok(message),
+                Ok(_) => Err(None),
+                Err(_) => Err(greeted_protocol(content)),
+            },
             Poll::Corrupt(_) => Err(None),
         };
+        self.heard.corrupt = self.decoder.counters().corrupt().into();
+        match &message {
+            Ok(ToHost::Response { .. }) => self.heard.answers += 1,
+            Ok(ToHost::Event(_)) => self.heard.events += 1,
+            Err(_) => {
+                let sound: u64 = self.decoder.counters().frames.into();
+                self.heard.unreadable = sound - self.heard.answers - self.heard.events;
+            }
+        }
         let alive = match message {
             Ok(ToHost::Response { sequence, response }) => {
                 self.answers.send(Answer::Response { sequence, response: Box::new(response) }).is_ok()
@@ -157,8 +228,8 @@ impl Reader {
             Err(None) => true,
         };
         let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
-        counters.frames = self.decoder.counters().frames.into();
-        counters.corrupt = self.decoder.counters().corrupt().into();
+        counters.0.frames = self.decoder.counters().frames.into();
+        counters.0.corrupt = self.heard.corrupt + self.heard.unreadable;
         alive
     }
 
@@ -170,8 +241,17 @@ impl Reader {
             }
             self.losses.arrived(batch.sequence);
             let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
-            (counters.lost_batches, counters.device) = (self.losses.lost(), batch.counters);
+            (counters.0.lost_batches, counters.0.device) = (self.losses.lost(), batch.counters);
         }
+    }
+}
+
+/// Whether the ticks of an event can be those of a device: any display counts with them.
+fn is_possible(message: &ToHost) -> bool {
+    match message {
+        ToHost::Event(Event::Telemetry(batch)) => !batch.samples.is_empty() && batch.first_tick < LAST_TICK,
+        ToHost::Event(Event::Alarm { tick, .. } | Event::Unacknowledged { tick, .. }) => *tick < LAST_TICK,
+        ToHost::Event(Event::Breath(_)) | ToHost::Response { .. } => true,
     }
 }
 

@@ -8,10 +8,14 @@ use shared::weights::slots::Slot;
 use shared::weights::{IMAGE_BYTES, WeightsError, decode};
 use thiserror::Error;
 
+use super::answers::unexpected;
 use super::{Device, DeviceError};
 
 /// Sending weights: bytes.
 pub const UPLOAD: Stage = Stage("send weights, bytes");
+
+/// Number of chunks in a row that may leave an upload where it is, for example after a reconnection.
+const STANDSTILLS: usize = 8;
 
 /// Why an upload failed.
 #[derive(Debug, Error)]
@@ -44,7 +48,7 @@ impl Device {
         self.transfer(&image[..IMAGE_BYTES], id, progress)?;
         match self.request(&Request::CommitWeights)? {
             Response::Weights { id: stored, slot } if stored == id => Ok(Uploaded { id, slot }),
-            _ => Err(DeviceError::Unexpected.into()),
+            other => Err(unexpected(&Request::CommitWeights, &other).into()),
         }
     }
 
@@ -56,7 +60,7 @@ impl Device {
         self.transfer(description, crc32(description), &Progress::silent())?;
         match self.request(&Request::CommitBench)? {
             Response::Done => Ok(()),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(&Request::CommitBench, &other)),
         }
     }
 
@@ -65,6 +69,7 @@ impl Device {
         let begin = Request::BeginWeights { length: content.len() as u32, id };
         let mut offset = self.progress_of(&begin)?;
         let task = progress.task(UPLOAD, content.len());
+        let (mut farthest, mut standstills) = (offset, 0);
         while offset < content.len() {
             task.reach(offset);
             if task.stopped() {
@@ -78,6 +83,11 @@ impl Device {
                 Err(DeviceError::Refused(Refusal::WrongOffset { expected })) => expected as usize,
                 other => other?,
             };
+            standstills = if offset > farthest { 0 } else { standstills + 1 };
+            if standstills > STANDSTILLS {
+                return Err(DeviceError::Stuck(offset));
+            }
+            farthest = farthest.max(offset);
         }
         task.reach(offset);
         Ok(())
@@ -86,7 +96,7 @@ impl Device {
     fn progress_of(&mut self, request: &Request) -> Result<usize, DeviceError> {
         match self.request(request)? {
             Response::Progress { offset } => Ok(offset as usize),
-            _ => Err(DeviceError::Unexpected),
+            other => Err(unexpected(request, &other)),
         }
     }
 }

@@ -91,6 +91,7 @@ pub fn device(kind: DeviceKind) -> &'static str {
         DeviceKind::Ventilator => "ventilator",
         DeviceKind::HardwareInTheLoop => "hardware in the loop",
         DeviceKind::Simulated => "simulated",
+        DeviceKind::ThirdParty => "third-party device",
         DeviceKind::Desk => "simulated on the board",
     }
 }
@@ -115,9 +116,10 @@ pub fn identity(identity: &DeviceIdentity) -> String {
     format!("{}, firmware {major}.{minor}.{patch}, tick {period} us{build}", device(identity.device))
 }
 
-/// Whether the device's firmware was built without a key; a simulated device has no firmware.
+/// Whether the device runs this project's firmware, built without a key.
 pub fn is_development(identity: &DeviceIdentity) -> bool {
-    identity.weights_key.is_none() && identity.device != DeviceKind::Simulated
+    identity.weights_key.is_none()
+        && matches!(identity.device, DeviceKind::Ventilator | DeviceKind::HardwareInTheLoop)
 }
 
 /// The name of a setting.

@@ -31,9 +31,11 @@ pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<P
     let device_us = source.identity().period_us;
     if device_us != chosen.period_us {
         let asked = chosen.period_us;
-        bail!(
-            "the device's control period is {device_us} us, but the controller's is {asked} us: train a controller for the device"
-        );
+        let way_out = match chosen.weights_id {
+            None => format!("add --period-us {device_us}"),
+            Some(_) => "train a controller for the device".to_owned(),
+        };
+        bail!("the device's control period is {device_us} us, but the controller's is {asked} us: {way_out}");
     }
     if let Some(image) = &chosen.image {
         source.know(image.clone());

@@ -168,6 +168,9 @@ impl Command for Args {
         provenance.seed = self.seed;
         provenance.weights_id = chosen.weights_id.clone().unwrap_or_default();
         save(&collected.recording, &self.out)?;
+        for shortfall in source.shortfalls() {
+            eprintln!("warning: {shortfall}");
+        }
         let mut summary = summary(self, &chosen, &config, &collected);
         context.table(&table(&summary));
         context.saved(&self.out);

@@ -18,7 +18,7 @@ use crate::args::port::warn_of_development_build;
 use crate::command::{Command, Context, Output, OutputArgs};
 use data::export::mcap::Counts;
 use device::port::Address;
-use device::{Device, LineCounters};
+use device::{Device, DeviceError, LineCounters};
 use show::monitor::News;
 use show::monitor::capture::Capture;
 use show::monitor::plain::Lines;
@@ -169,10 +169,11 @@ pub struct State {
     identity: DeviceIdentity,
     settings: Settings,
     next_settings: Option<Settings>,
-    alarms: Alarms,
-    audio: AudioStatus,
-    lease: LeaseStatus,
-    ticks: TickTimes,
+    /// None of what the device does not report.
+    alarms: Option<Alarms>,
+    audio: Option<AudioStatus>,
+    lease: Option<LeaseStatus>,
+    ticks: Option<TickTimes>,
     line: LineCounters,
 }
 
@@ -199,37 +200,55 @@ fn once(args: &Args, device: &mut Device, context: &Context<'_>) -> anyhow::Resu
     let identity = device.identify()?;
     warn_of_development_build(&identity);
     let (settings, next_settings) = device.settings()?;
-    let alarms = device.alarms()?.into();
-    let audio = device.audio()?;
-    let lease = device.lease()?;
-    let ticks = device.timing(false)?;
+    let alarms = known(device.alarms())?.map(Alarms::from);
+    let audio = known(device.audio())?;
+    let lease = known(device.lease())?;
+    let ticks = known(device.timing(false))?;
     let (port, line) = (args.port.to_string(), device.counters());
     let state = State { port, identity, settings, next_settings, alarms, audio, lease, ticks, line };
     context.table(&table(&state));
     Ok(state)
 }
 
+/// What a device reports; none if it does not know the request.
+fn known<T>(reported: Result<T, DeviceError>) -> Result<Option<T>, DeviceError> {
+    match reported {
+        Err(DeviceError::Unknown(_)) => Ok(None),
+        reported => reported.map(Some),
+    }
+}
+
 fn table(state: &State) -> Table {
-    let State { identity, alarms, audio, ticks, .. } = state;
-    let us = |cycles: f32| format!("{:.1} us", ticks.microseconds(cycles));
+    const UNKNOWN: &str = "not reported by this device";
+    let State { identity, .. } = state;
     let mut table = Table::new("", &["device", &state.port]);
     let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
     row("type", words::identity(identity));
     row("started by", words::reset(identity.reset).to_owned());
     row("mode", words::mode(identity.mode));
     row("controller", words::controller(identity.controller));
-    row("in command", words::level(alarms.level).to_owned());
-    for fault in words::indicated(&alarms.status) {
-        row("alarm", words::alarm(fault, &alarms.status));
+    match &state.alarms {
+        None => row("alarm", UNKNOWN.to_owned()),
+        Some(alarms) => {
+            row("in command", words::level(alarms.level).to_owned());
+            for fault in words::indicated(&alarms.status) {
+                row("alarm", words::alarm(fault, &alarms.status));
+            }
+            if alarms.indicated.is_empty() {
+                row("alarm", "none is indicated".to_owned());
+            }
+        }
     }
-    if alarms.indicated.is_empty() {
-        row("alarm", "none is indicated".to_owned());
-    }
-    row("sounder", words::audio(audio));
-    row("steered by", words::lease(&state.lease));
+    row("sounder", state.audio.as_ref().map_or_else(|| UNKNOWN.to_owned(), words::audio));
+    row("steered by", state.lease.as_ref().map_or_else(|| UNKNOWN.to_owned(), words::lease));
     for field in FIELDS {
         row(&words::name(field), words::setting(field, &state.settings, state.next_settings.as_ref()));
     }
+    let Some(ticks) = &state.ticks else {
+        row("ticks", UNKNOWN.to_owned());
+        return table;
+    };
+    let us = |cycles: f32| format!("{:.1} us", ticks.microseconds(cycles));
     row("ticks", format!("{}, {} missed", ticks.ticks, ticks.missed));
     row("mean tick", us(ticks.work.mean));
     row("longest tick", us(ticks.work.longest as f32));
@@ -275,9 +294,9 @@ mod tests {
         };
         let settings = Settings::default();
         let next_settings = Some(Settings { pip: 25.0, ..settings });
-        let (port, ticks, line) = ("COM3".to_owned(), TickTimes::default(), LineCounters::default());
-        let (alarms, audio) = (AlarmStatus::default().into(), AudioStatus::default());
-        let lease = LeaseStatus { holder: Some(HostName::new("anna@icu")), yours: false };
+        let (port, ticks, line) = ("COM3".to_owned(), Some(TickTimes::default()), LineCounters::default());
+        let (alarms, audio) = (Some(AlarmStatus::default().into()), Some(AudioStatus::default()));
+        let lease = Some(LeaseStatus { holder: Some(HostName::new("anna@icu")), yours: false });
         let state = State { port, identity, settings, next_settings, alarms, audio, lease, ticks, line };
         let text = table(&state).to_plain();
         assert!(text.contains("anna@icu (this program only reads)"), "{text}");

@@ -132,6 +132,7 @@ pub fn collect<C: Clone>(
         Ok(())
     };
     let outcome = collect_from(source, controller, config, Position::default(), progress, keep);
+    collected.recording.provenance.notes.extend(source.shortfalls());
     collected.recording.leave_out_unknown();
     match outcome {
         Err(CollectError::Source(reason)) if !collected.recording.is_empty() => {

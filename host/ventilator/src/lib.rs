@@ -87,6 +87,29 @@ pub enum SourceError {
         /// Tick of the first missing sample.
         tick: u32,
     },
+    /// The device sends what no sound device can send.
+    #[error("the device sends {what} in breath {breath}; compare it with docs/DEVICE_LINK.md")]
+    Impossible {
+        /// What it sends, in words.
+        what: String,
+        /// The current breath.
+        breath: u32,
+    },
+    /// No sample of the first breath came.
+    #[error(
+        "the device never sent tick 0 of breath 0 after its start: both count from 0 (docs/DEVICE_LINK.md)"
+    )]
+    NotBegun,
+    /// The device does not run the controller that was asked for.
+    #[error(
+        "the device runs {runs}, not {asked}, and does not change it: choose its own with --gains, or add SetController to it (docs/DEVICE_LINK.md)"
+    )]
+    OtherController {
+        /// The controller that runs.
+        runs: String,
+        /// The one that was asked for.
+        asked: String,
+    },
     /// The device stopped sending.
     #[error("the device stopped sending samples in breath {breath}: check it with `trainer identify`")]
     Silent {
@@ -133,6 +156,11 @@ pub trait Source<C = Controller> {
     /// # Errors
     /// Refused settings or a fault of the ventilator; the sink has received the ticks up to then.
     fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError>;
+
+    /// What the source has not done of what it was asked, in words; a recording of it keeps them.
+    fn shortfalls(&self) -> Vec<String> {
+        Vec::new()
+    }
 
     /// After a fault: waits until the pressure has returned to PEEP, then acknowledges.
     ///

@@ -4,6 +4,8 @@
 //! speed of this computer or of the line: with the plant's seed, the same run gives the same samples as
 //! [`super::BenchSource`], bit for bit.
 
+mod course;
+
 use std::collections::VecDeque;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
@@ -11,8 +13,9 @@ use std::time::{Duration, Instant};
 use shared::breath::Breath;
 use shared::calibration::Calibration;
 use shared::control::Controller;
+use shared::control::pid::PidGains;
 use shared::explore::Exploration;
-use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event};
+use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response};
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::PackedSample;
 use shared::safety::alarms::{Action, Fault};
@@ -21,6 +24,7 @@ use shared::ventilator::{Mode, Sample};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 
 use super::{REST_TIME, Reseed, Source, SourceError, Tick, TickTruth};
+use course::{Course, Step, wrong_pace};
 use device::upload::UploadError;
 use device::{Device, DeviceError};
 use progress::Progress;
@@ -29,6 +33,9 @@ use progress::Progress;
 const HEARD_EVERY: usize = 2000;
 /// Time without samples after which a ventilating device counts as silent.
 const SILENCE: Duration = Duration::from_secs(20);
+
+/// Time that a device has to raise its alarm after an impossible sample, s.
+const ALARM_TIME: f32 = 1.0;
 
 /// The true state at a tick, numbered from the start of ventilation, known only to the plant behind a device.
 type Truth = Box<dyn FnMut(usize) -> Option<TickTruth> + Send>;
@@ -56,6 +63,10 @@ pub struct PortSource {
     /// Number of samples since the last request to the device.
     unheard: usize,
     truth: Option<Truth>,
+    /// When its samples since the start began to come.
+    started: Instant,
+    /// Whether the device has left out perturbations that it was asked for.
+    unperturbed: bool,
     /// Images whose bytes, and therefore ids, are known.
     images: Vec<Vec<u8>>,
     /// The virtual board, if the device is one; dropped last, because the device is stopped first.
@@ -76,7 +87,7 @@ impl PortSource {
             device.acknowledge()?;
         }
         device.telemetry(true)?;
-        let seed = (identity.device != DeviceKind::Ventilator).then_some(seed);
+        let seed = identity.device.has_simulated_plant().then_some(seed);
         let plant = format!("device at {}", device.address());
         Ok(Self {
             device,
@@ -94,6 +105,8 @@ impl PortSource {
             finding: None,
             unheard: 0,
             truth: None,
+            started: Instant::now(),
+            unperturbed: false,
             images: Vec::new(),
             #[cfg(unix)]
             board: None,
@@ -188,7 +201,11 @@ impl PortSource {
         self.unheard += samples;
         if self.unheard >= HEARD_EVERY {
             self.unheard = 0;
-            self.device.settings()?;
+            match self.device.settings() {
+                // It was heard all the same.
+                Ok(_) | Err(DeviceError::Unknown(_)) => {}
+                Err(error) => return Err(error.into()),
+            }
         }
         Ok(())
     }
@@ -198,13 +215,19 @@ impl PortSource {
         let deadline = Instant::now() + SILENCE;
         loop {
             while let Some(sample) = self.samples.pop_front() {
-                self.begun |= (sample.breath, sample.tick) == (0, 0);
+                if !self.begun && (sample.breath, sample.tick) == (0, 0) {
+                    (self.begun, self.started) = (true, Instant::now());
+                }
                 if self.begun {
                     return Ok(Some(sample));
                 }
             }
             if self.alarm.is_some() {
                 return Ok(None);
+            }
+            // Events may come without end, but none that helps.
+            if Instant::now() >= deadline {
+                return Err(if self.begun { SourceError::Silent { breath } } else { SourceError::NotBegun });
             }
             match self.device.events().recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(Event::Telemetry(batch)) => {
@@ -214,7 +237,7 @@ impl PortSource {
                 Ok(Event::Alarm { fault, .. }) => self.heed(fault)?,
                 // An alarm of an earlier recording is none of this one.
                 Ok(Event::Breath(_) | Event::Unacknowledged { .. }) => {}
-                Err(RecvTimeoutError::Timeout) => return Err(SourceError::Silent { breath }),
+                Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     return Err(DeviceError::Gone(self.device.address().clone()).into());
                 }
@@ -258,6 +281,53 @@ impl PortSource {
         Ok(ControllerChoice::Learned)
     }
 
+    /// Selects a controller. A device may have its own, which it does not change: its greeting must then name the one that was asked
+    /// for, so that a recording names the one that ran.
+    fn choose(&mut self, asked: ControllerChoice) -> Result<(), SourceError> {
+        let runs = match self.device.request(&Request::SetController(asked)) {
+            Ok(Response::Controller(applied)) => applied,
+            Ok(_) => return Ok(()),
+            Err(DeviceError::Unknown(_)) => self.identity.controller,
+            Err(error) => return Err(error.into()),
+        };
+        if runs == asked {
+            Ok(())
+        } else {
+            Err(SourceError::OtherController { runs: named(runs), asked: named(asked) })
+        }
+    }
+
+    /// Sets the exploration. A device that cannot explore runs the controller alone, which [`Source::shortfalls`] says.
+    fn explore(&mut self, asked: Option<Exploration>) -> Result<(), SourceError> {
+        let applied = match self.device.request(&Request::SetExploration(asked)) {
+            Ok(Response::Exploration(applied)) => applied,
+            Ok(_) | Err(DeviceError::Unknown(_)) => None,
+            Err(error) => return Err(error.into()),
+        };
+        self.unperturbed |= asked.is_some() && applied.is_none();
+        Ok(())
+    }
+
+    /// The error of a sample that no sound device sends. Without a sound sensor the device raises an alarm, which is then the reason.
+    fn disbelieve(&mut self, what: String, breath: u32, tick: u32) -> SourceError {
+        for _ in 0..shared::math::ticks(ALARM_TIME, self.period_us()) {
+            match self.sample(breath) {
+                Ok(Some(_)) => {}
+                Ok(None) => return self.fault(breath, tick),
+                Err(error) => return error,
+            }
+        }
+        self.impossible(what, breath)
+    }
+
+    /// Stops the device, whose samples are useless.
+    fn impossible(&mut self, what: String, breath: u32) -> SourceError {
+        self.running = false;
+        // The reason for the stop matters more than whether it succeeds.
+        let _ = self.device.stop();
+        SourceError::Impossible { what, breath }
+    }
+
     fn fault(&mut self, breath: u32, tick: u32) -> SourceError {
         self.running = false;
         match self.alarm.take() {
@@ -287,9 +357,8 @@ impl Source for PortSource {
     ) -> Result<(), SourceError> {
         self.halt()?;
         let choice = self.install(&controller)?;
-        self.device.choose(choice)?;
-        self.device.explore(exploration)?;
-        Ok(())
+        self.choose(choice)?;
+        self.explore(exploration)
     }
 
     fn upcoming(&mut self, settings: &[Settings]) -> Result<(), SourceError> {
@@ -300,53 +369,69 @@ impl Source for PortSource {
 
     fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
         let asked = Breath::new(settings, self.period_us())?;
-        let inspiration = asked.inspiration_ticks();
         if self.plan.front() != Some(settings) {
             self.upcoming(core::slice::from_ref(settings))?;
         }
         if !self.running {
             self.start()?;
         }
-        let mut breath = None;
-        for tick in 0.. {
-            let Some(sample) = self.sample(breath.unwrap_or(0))? else {
-                return Err(self.fault(breath.unwrap_or(0), tick));
+        let mut course = Course::new(&asked);
+        loop {
+            let (breath, tick) = (course.breath.unwrap_or(0), course.ticks);
+            let Some(sample) = self.sample(breath)? else {
+                return Err(self.fault(breath, tick));
             };
-            if breath.is_some_and(|breath| (sample.breath, sample.tick) == (breath + 1, 0)) {
-                // The next breath: an expiration can be longer or shorter than the settings say.
-                self.samples.push_front(sample);
-                break;
-            }
-            if sample.u_out && tick < inspiration {
-                // The pressure limit ended the inspiration, so this is not the requested breath.
-                self.device.stop()?;
-                self.alarm = Some(Fault::HighPressure);
-                return Err(self.fault(sample.breath, tick));
-            }
-            let expected = (*breath.get_or_insert(sample.breath), tick);
-            if (sample.breath, sample.tick) != expected {
-                return Err(SourceError::Lost { breath: expected.0, tick });
+            match course.take(&sample) {
+                Step::Next => {}
+                Step::NextBreath => {
+                    // An expiration can be longer or shorter than the settings say.
+                    self.samples.push_front(sample);
+                    break;
+                }
+                Step::Gap => return Err(SourceError::Lost { breath: course.breath.unwrap_or(0), tick }),
+                Step::Cut => {
+                    // The pressure limit ended the inspiration, so this is not the requested breath.
+                    self.device.stop()?;
+                    self.alarm = Some(Fault::HighPressure);
+                    return Err(self.fault(sample.breath, tick));
+                }
+                Step::Impossible(what) => return Err(self.disbelieve(what, sample.breath, tick)),
             }
             let number = self.handed;
             self.handed += 1;
             let truth = self.truth.as_mut().and_then(|truth| truth(number));
             sink(&Tick { sample, truth });
         }
+        let Self { identity, handed, started, .. } = self;
+        if let Some(what) = wrong_pace(identity.device, identity.period_us, *handed, started.elapsed()) {
+            return Err(self.impossible(what, course.breath.unwrap_or(0)));
+        }
         self.plan.pop_front();
         self.sent = self.sent.saturating_sub(1);
         self.fill()
     }
 
+    fn shortfalls(&self) -> Vec<String> {
+        let missing = "the device does not explore (SetExploration): the breaths have no perturbations, from which a simulator learns most";
+        self.unperturbed.then(|| missing.to_owned()).into_iter().collect()
+    }
+
     fn acknowledge(&mut self) -> Result<(), SourceError> {
         let ticks = |device: &mut Device| device.timing(false).map(|times| times.ticks);
-        let from = ticks(&mut self.device)?;
-        let rest = shared::math::ticks(REST_TIME, self.period_us());
-        let deadline = Instant::now() + SILENCE;
-        while ticks(&mut self.device)?.wrapping_sub(from) < rest && Instant::now() < deadline {
-            std::thread::sleep(Duration::from_millis(20));
+        match ticks(&mut self.device) {
+            Ok(from) => {
+                let rest = shared::math::ticks(REST_TIME, self.period_us());
+                let deadline = Instant::now() + SILENCE;
+                while ticks(&mut self.device)?.wrapping_sub(from) < rest && Instant::now() < deadline {
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+            }
+            // A device that counts no ticks has this computer's time.
+            Err(DeviceError::Unknown(_)) => std::thread::sleep(Duration::from_secs_f32(REST_TIME)),
+            Err(error) => return Err(error.into()),
         }
         match self.device.acknowledge() {
-            Ok(_) | Err(DeviceError::Refused(Refusal::NoFault)) => {}
+            Ok(_) | Err(DeviceError::Refused(Refusal::NoFault) | DeviceError::Unknown(_)) => {}
             Err(error) => return Err(error.into()),
         }
         // The plant continues from its present state, like a patient.
@@ -358,7 +443,15 @@ impl Source for PortSource {
 impl Reseed for PortSource {
     /// A real ventilator's plant is unaffected; the simulated plant of hardware in the loop restarts.
     fn reseed(&mut self, seed: u64) {
-        self.seed = (self.identity.device != DeviceKind::Ventilator).then_some(seed);
+        self.seed = self.identity.device.has_simulated_plant().then_some(seed);
+    }
+}
+
+/// A controller in words.
+fn named(choice: ControllerChoice) -> String {
+    match choice {
+        ControllerChoice::Pid(PidGains { p, i, d }) => format!("the PID {p},{i},{d}"),
+        ControllerChoice::Learned => "its learned controller".to_owned(),
     }
 }
 

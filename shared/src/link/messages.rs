@@ -98,7 +98,7 @@ pub enum Request {
         clear: bool,
     },
     /// Restarts the plant with this random seed at the next start of ventilation; answered by [`Response::Done`]. Not
-    /// on a [`DeviceKind::Ventilator`].
+    /// on a device with real valves.
     ResetPlant {
         /// Random seed.
         seed: u64,
@@ -339,8 +339,17 @@ pub enum DeviceKind {
     HardwareInTheLoop,
     /// A program on a computer.
     Simulated,
+    /// A ventilator with the firmware of a third party, which may know only a part of the requests.
+    ThirdParty,
     /// A microcontroller that simulates sensors, valves and lung itself.
     Desk,
+}
+
+impl DeviceKind {
+    /// Whether its plant is simulated, so that [`Request::ResetPlant`] restarts it.
+    pub fn has_simulated_plant(self) -> bool {
+        matches!(self, Self::HardwareInTheLoop | Self::Simulated | Self::Desk)
+    }
 }
 
 /// An unrequested message of the device.

@@ -179,7 +179,7 @@ impl Kind {
     /// The kind of a connected device.
     pub fn of(device: DeviceKind) -> Self {
         match device {
-            DeviceKind::Ventilator => Self::Board,
+            DeviceKind::Ventilator | DeviceKind::ThirdParty => Self::Board,
             DeviceKind::HardwareInTheLoop => Self::Hil,
             DeviceKind::Simulated | DeviceKind::Desk => Self::Simulated,
         }
@@ -262,6 +262,8 @@ pub enum EventKind {
     Lost,
     /// The device has restarted.
     Restarted,
+    /// The device does not report something, or sends what no device can.
+    Device,
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use shared::control::memory::LEARNING;
 use shared::link::messages::{AlarmStatus, ControllerChoice, Event, LeaseStatus, Request, Response};
-use shared::link::telemetry::BreathSummary;
+use shared::link::telemetry::{BreathSummary, TelemetryBatch};
 use shared::safety::alarms::{Action, Fault};
 use shared::safety::indications::FaultSet;
 use shared::safety::ladder::Level;
@@ -15,7 +15,7 @@ use shared::ventilator::Mode;
 
 use super::News;
 use super::words;
-use device::LineCounters;
+use device::{LineCounters, impossible};
 
 /// The state that was written last.
 #[derive(Clone, Debug, Default)]
@@ -32,6 +32,12 @@ pub struct Lines {
     alarms: BTreeMap<Fault, u64>,
     lease: Option<LeaseStatus>,
     losses: Losses,
+    /// Why requests had no answer, by name: the same reason is written once.
+    unanswered: BTreeMap<&'static str, String>,
+    /// Why the connection was lost, until it is there again.
+    lost: Option<String>,
+    /// Whether an impossible sample was written.
+    impossible: bool,
 }
 
 /// Counters that should stay zero.
@@ -42,25 +48,46 @@ impl Lines {
     pub fn take(&mut self, news: &News) -> Vec<String> {
         match news {
             News::Event(event) => self.happened(event).into_iter().collect(),
-            News::Answer { result: Ok(response), .. } => self.learn(response),
-            News::Answer { request, result: Err(reason) } => vec![format!("{}: {reason}", name(request))],
+            News::Answer { result: Ok(response), request } => {
+                self.unanswered.remove(name(request));
+                self.learn(response)
+            }
+            News::Answer { request, result: Err(reason) } => self.failed(name(request), reason),
             News::Traffic(traffic) => self.traffic(traffic).into_iter().collect(),
             News::Lost(reason) => {
                 self.greeted = false;
-                vec![format!("no connection: {reason}")]
+                let again = self.lost.replace(reason.clone()).is_some_and(|before| before == *reason);
+                if again { Vec::new() } else { vec![format!("no connection: {reason}")] }
             }
         }
     }
 
+    /// A device that does not know a polled request would fill the lines.
+    fn failed(&mut self, name: &'static str, reason: &str) -> Vec<String> {
+        let before = self.unanswered.insert(name, reason.to_owned());
+        let again = before.is_some_and(|before| before == reason) && name != ANY_REQUEST;
+        if again { Vec::new() } else { vec![format!("{name}: {reason}")] }
+    }
+
     fn happened(&mut self, event: &Event) -> Option<String> {
         match event {
-            Event::Telemetry(_) => None,
+            Event::Telemetry(batch) => self.sampled(batch),
             Event::Breath(breath) => Some(self.ended(breath)),
             Event::Alarm { fault, tick } => Some(self.alarmed(*fault, *tick)),
             Event::Unacknowledged { fault, tick } => {
                 (self.alarms.get(fault) != Some(tick)).then(|| self.alarmed(*fault, *tick))
             }
         }
+    }
+
+    /// Written once: the device would have to be mended.
+    fn sampled(&mut self, batch: &TelemetryBatch) -> Option<String> {
+        if self.impossible {
+            return None;
+        }
+        let what = batch.samples.iter().find_map(|sample| impossible(&sample.unpack()))?;
+        self.impossible = true;
+        Some(format!("samples: the device sends {what}; compare its samples with docs/DEVICE_LINK.md"))
     }
 
     fn ended(&self, breath: &BreathSummary) -> String {
@@ -90,6 +117,7 @@ impl Lines {
             Response::Identity(identity) => {
                 self.period_us = identity.period_us;
                 if !std::mem::replace(&mut self.greeted, true) {
+                    self.lost = None;
                     lines.push(format!("device: {}", words::identity(identity)));
                 }
                 lines.extend(changed(&mut self.mode, identity.mode).map(mode));
@@ -163,6 +191,9 @@ fn controller(now: ControllerChoice) -> String {
     format!("controller: {}", words::controller(now))
 }
 
+/// Name of the requests that no poll makes: each of their refusals is written.
+const ANY_REQUEST: &str = "request";
+
 /// Name of a refused request.
 fn name(request: &Request) -> &'static str {
     match request {
@@ -174,6 +205,6 @@ fn name(request: &Request) -> &'static str {
         Request::GetLease => "lease",
         Request::GetTiming { .. } => "tick times",
         Request::Telemetry { .. } => "telemetry",
-        _ => "request",
+        _ => ANY_REQUEST,
     }
 }

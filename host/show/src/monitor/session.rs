@@ -186,7 +186,13 @@ impl Watcher {
         // After the answer, which may be older than an alarm that arrived in the meantime.
         self.pass_events()?;
         match answer {
-            Ok(_) | Err(DeviceError::Refused(_) | DeviceError::Unexpected) => Ok(()),
+            Ok(_)
+            | Err(
+                DeviceError::Refused(_)
+                | DeviceError::Unknown(_)
+                | DeviceError::Unexpected { .. }
+                | DeviceError::Settings(_),
+            ) => Ok(()),
             Err(broken) => Err(End::Broken(broken)),
         }
     }

@@ -5,7 +5,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::Serialize;
 use shared::calibration::Calibration;
 use shared::link::messages::DeviceIdentity;
-use shared::link::refusal::Refusal;
 use shared::weights::slots::SlotState;
 
 use crate::args::controller::image_id;
@@ -48,7 +47,7 @@ pub fn run(address: &Address, context: &Context<'_>) -> anyhow::Result<Found> {
 fn calibrations(device: &mut Device) -> Result<Calibrations, DeviceError> {
     let (stored, newest) = match device.calibration(0) {
         // A firmware from before calibrations.
-        Err(DeviceError::Refused(Refusal::UnknownRequest)) => (0, None),
+        Err(DeviceError::Unknown(_)) => (0, None),
         answer => answer?,
     };
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());

@@ -78,7 +78,10 @@ fn may_pass(error: &StudyError) -> bool {
 /// Whether a device that failed so may come back by itself. The lease of a connection that broke lapses.
 fn device_may_return(error: &DeviceError) -> bool {
     match error {
-        DeviceError::Port(_) | DeviceError::Silent(_) | DeviceError::Gone(_) => true,
+        DeviceError::Port(_)
+        | DeviceError::Silent(_)
+        | DeviceError::Babbles { .. }
+        | DeviceError::Gone(_) => true,
         DeviceError::Refused(refusal) => matches!(refusal, Refusal::Lease { .. } | Refusal::NoLease),
         _ => false,
     }
