@@ -1,13 +1,15 @@
 """A ventilator on Eupnea's device link (docs/DEVICE_LINK.md): a PID on a one-compartment lung; standard library only.
-python3 device.py                 prints the pseudo-terminal at which it listens, for trainer collect --port NAME
-python3 device.py /dev/ttyGS0     listens on that serial port (needs pyserial)"""
-import math, os, struct, sys, time, zlib
+python3 device.py              prints the pseudo-terminal on which it listens, for trainer collect --port NAME
+python3 device.py /dev/ttyS0   listens on a serial port (needs pyserial)"""
+import os, struct, sys, time, tty, zlib
+from contextlib import suppress
 
-VERSION, PERIOD_US, BATCH = 4, 1000, 16
-THIRD_PARTY, STANDBY, VENTILATING, FAULT, HIGH_PRESSURE, REFUSED = 3, 0, 1, 2, 2, 9
-NO_FAULT, UNKNOWN_REQUEST, QUEUE_FULL, NOT_CONFIRMED, QUEUE = 5, 13, 14, 23, 8
-SETTINGS = (20, 5, 20, 1, 0, 0.5, 5, 60, 0, 0, 0, 0, 0, 0)  # in the order of the link, PIP first
-RESISTANCE, COMPLIANCE, FULL_FLOW, LAG = 20.0, 0.02, 1.5, 0.025  # cmH2O/(L/s), L/cmH2O, L/s, s
+VERSION, THIRD_PARTY, PERIOD_US, BATCH, QUEUE = 4, 3, 1000, 16, 8
+STANDBY, VENTILATING, FAULT = b"\0", b"\1", b"\2\2"  # modes; the fault is 2, HighPressure
+REFUSED, LATCHED, NO_FAULT, UNKNOWN, FULL, NOT_CONFIRMED = 9, 4, 5, 13, 14, 23  # the response and its reasons
+SETTINGS = (20, 5, 20, 1, 0, 0.5, 5, 60, 0, 0, 0, 0, 0, 0)  # PIP, PEEP, rate, ... in the order of the link
+LEAST, MOST = (5, 0, 4, 0.2, 0, 0, 0, 15) + 6 * (0,), (60, 20, 80, 5, 1, 2, 20, 70, 10, 20, 3e3, 3e3, 60, 60)
+RESISTANCE, COMPLIANCE, FULL_FLOW, LAG, DEAD_ZONE = 20.0, 0.02, 1.5, 0.025, 4.0  # in L, cmH2O, s, percent
 
 
 def varint(number):
@@ -16,12 +18,8 @@ def varint(number):
 
 
 def take_varint(data):
-    number = shift = 0
-    for place, byte in enumerate(data):
-        number, shift = number | (byte & 127) << shift, shift + 7
-        if byte < 128:
-            return number, data[place + 1 :]
-    raise ValueError("cut short")
+    higher, rest = take_varint(data[1:]) if data[0] > 127 else (0, data[1:])
+    return data[0] & 127 | higher << 7, rest
 
 
 def floats(*values):
@@ -29,146 +27,128 @@ def floats(*values):
 
 
 def frame(content):
-    content, out = content + struct.pack("<I", zlib.crc32(content)), b""
+    content, out = content + struct.pack("<I", zlib.crc32(content)), b"\0"
     for part in content.split(b"\0"):
         while len(part) >= 254:
             out, part = out + b"\xff" + part[:254], part[254:]
         out += bytes([len(part) + 1]) + part
-    return b"\0" + out + b"\0"
+    return out + b"\0"
 
 
 def content_of(stuffed):
     """The content between two delimiters; empty if it is damaged."""
-    out, at = b"", 0
-    while at < len(stuffed):
-        code = stuffed[at]
-        out, at = out + stuffed[at + 1 : at + code] + (b"\0" if code < 255 else b""), at + code
-    out = out[:-1] if stuffed and code < 255 else out
-    return out[:-4] if at == len(stuffed) and out[-4:] == struct.pack("<I", zlib.crc32(out[:-4])) else b""
+    out, zero = b"", b""
+    while stuffed:
+        code = stuffed[0]
+        out, zero, stuffed = out + zero + stuffed[1:code], b"" if code == 255 else b"\0", stuffed[code:]
+    content, crc = out[:-4], out[-4:]
+    return content if crc == struct.pack("<I", zlib.crc32(content)) else b""
 
 
 class Ventilator:
-    period, settings, next_settings, gains = PERIOD_US * 1e-6, SETTINGS, [], (3.0, 30.0, 0.0)
-    mode, telemetry, confirmed, ticks, batches = STANDBY, False, False, 0, 0
-    breath = tick = integral = error = opening = 0
-    volume, pressure, samples = 5 * COMPLIANCE, 5.0, []
+    settings, queue, gains, mode, confirmed = SETTINGS, [], (3.0, 30.0, 0.0), STANDBY, False
+    telemetry, samples, batches, ticks, breath, tick = False, [], 0, 0, 0, 0
+    opening, volume, pressure, integral, before = 0.0, 5 * COMPLIANCE, 5.0, 0.0, 0.0
 
     def answer(self, kind, rest):
-        """The response to a request."""
-        if kind == 0:  # Identify: no exploration, both slots empty, none runs, power on, no failure, no key
-            head = varint(VERSION) + bytes([0, 1, 0, THIRD_PARTY]) + varint(PERIOD_US) + self.mode_bytes()
-            return bytes([0]) + head + bytes([0]) + floats(*self.gains) + bytes([0, 0, 0, 0, 0, 0, 0])
-        if kind in (2, 13):  # ApplySettings and QueueSettings
+        if kind == 0:  # Identify: kind, period, mode, PID; explores not, no weights, power on, no failure, no key
+            head = bytes([0]) + varint(VERSION) + bytes([0, 1, 0, THIRD_PARTY]) + varint(PERIOD_US)
+            return head + self.mode + b"\0" + floats(*self.gains) + bytes(7)
+        if kind in (2, 13):  # ApplySettings, QueueSettings
             asked = struct.unpack("<14f", rest[:56])
-            low, high = (0, 3, 4, 0.2, 0, 0, 0, 15) + 6 * (0,), (60, 20, 80, 5, 1, 2, 20, 70, 10, 20, 3e3, 3e3, 60, 60)
-            for field, (value, least, most) in enumerate(zip(asked, low, high)):
-                if not least <= value <= most:  # which refuses NaN: Settings, OutOfBounds
+            for field, (value, least, most) in enumerate(zip(asked, LEAST, MOST)):
+                if not least <= value <= most:  # also NaN
                     return bytes([REFUSED, 0, 0, field]) + floats(value, least, most)
-            if kind == 13 and len(self.next_settings) >= QUEUE:
-                return bytes([REFUSED, QUEUE_FULL])
-            self.next_settings, self.confirmed = (self.next_settings if kind == 13 else []) + [asked], True
+            if kind == 13 and len(self.queue) == QUEUE:
+                return bytes([REFUSED, FULL])
+            self.queue, self.confirmed = (self.queue if kind == 13 else []) + [asked], True
             if kind == 13:
-                return bytes([10, QUEUE - len(self.next_settings)])
-        if kind in (1, 2):  # GetSettings too
-            pending = b"\1" + floats(*self.next_settings[-1]) if self.next_settings else b"\0"
-            return bytes([1]) + floats(*self.settings) + pending
+                return bytes([10, QUEUE - len(self.queue)])
+        if kind in (1, 2):  # GetSettings
+            return b"\1" + floats(*self.settings) + (b"\1" + floats(*self.queue[0]) if self.queue else b"\0")
         if kind == 3:  # Start
             if self.mode != STANDBY or not self.confirmed:
-                return bytes([REFUSED, 4 if self.mode == FAULT else NOT_CONFIRMED])
-            self.mode, self.breath, self.tick = VENTILATING, -1, 0
-        elif kind == 4 and self.mode == VENTILATING:  # Stop
-            self.mode, self.confirmed, self.next_settings = STANDBY, False, []
-        elif kind == 5:  # Acknowledge
-            if self.mode != FAULT:
-                return bytes([REFUSED, NO_FAULT])
-            self.mode, self.confirmed, self.next_settings = STANDBY, False, []
-        elif kind == 6 and rest[0] == 0:  # SetController with a PID
+                return bytes([REFUSED, LATCHED if self.mode == FAULT else NOT_CONFIRMED])
+            self.mode, self.breath, self.tick, self.samples = VENTILATING, 0, 0, []
+        elif kind == 5 and self.mode != FAULT:
+            return bytes([REFUSED, NO_FAULT])
+        elif kind == 5 or kind == 4 and self.mode == VENTILATING:  # Acknowledge, Stop
+            self.mode, self.confirmed, self.queue = STANDBY, False, []
+        elif kind == 6 and rest[0] == 0:  # SetController: a PID
             self.gains = struct.unpack("<3f", rest[1:13])
-            return bytes([3, 0]) + floats(*self.gains)
+            return b"\3\0" + floats(*self.gains)
         elif kind == 8:  # Telemetry
             self.telemetry = rest[0] == 1
-            return bytes([5, rest[0]])
-        elif kind == 19:  # GetAlarms: the bits of those present and indicated, and who commands: the PID
-            return bytes([14]) + 2 * varint((self.mode == FAULT) << HIGH_PRESSURE) + bytes([1])
+            return b"\5" + rest[:1]
+        elif kind == 19:  # GetAlarms: present and indicated, a bit per fault; the PID is in command
+            return b"\x0e" + 2 * varint((self.mode == FAULT) << 2) + b"\1"
         elif kind != 4:
-            return bytes([REFUSED, UNKNOWN_REQUEST])
-        return bytes([2]) + self.mode_bytes()
+            return bytes([REFUSED, UNKNOWN])
+        return b"\2" + self.mode
 
-    def mode_bytes(self):
-        return bytes([FAULT, HIGH_PRESSURE] if self.mode == FAULT else [self.mode])
-
-    def step(self):
-        """One control period; returns the events to send."""
-        events = b""
-        lengths = [math.floor(s / self.period + 0.5) for s in (60 / self.settings[2], self.settings[3], self.settings[5])]
-        if self.breath < 0 or self.tick >= lengths[0]:
-            self.breath, self.tick, self.integral = self.breath + 1, 0, 0.0
-            self.settings = self.next_settings.pop(0) if self.next_settings else self.settings
-        pip, peep, _, inspiration, rise, fall, bias, limit = self.settings[:8]
-        seconds = self.tick * self.period
-        phase = 0 if self.tick < lengths[1] else 1 if self.tick < lengths[1] + lengths[2] else 2
-        up = min(1.0, seconds / rise) if rise > 0 else 1.0
-        target = (peep + up * (pip - peep), pip + (peep - pip) * (seconds - inspiration) / max(fall, 1e-9), peep)[phase]
-        error, u_in = target - self.pressure, bias
+    def step(self, dt):
+        """One control period of a ventilation; returns the events to send."""
+        if self.tick == 0 and self.queue:
+            self.settings = self.queue.pop(0)
+        pip, peep, rate, inspiration, rise, fall, u_in, limit = self.settings[:8]
+        total, inspired, fallen = (int(s / dt + 0.5) for s in (60 / rate, inspiration, inspiration + fall))
+        phase = (self.tick >= inspired) + (self.tick >= fallen)  # inspiration, fall, expiration
+        way = (min(1, self.tick * dt / rise if rise else 1), 1 - (self.tick - inspired) / max(1, fallen - inspired), 0)
+        target, (p, i, d) = peep + way[phase] * (pip - peep), self.gains
+        error, first = target - self.pressure, self.tick == 0
         if phase == 0:
-            p, i, d = self.gains
-            change = d * (error - self.error) / self.period if self.tick else 0.0
-            u_in = max(0.0, min(100.0, p * error + self.integral + change))
-            self.integral = max(0.0, min(100.0, self.integral + i * error * self.period))
-        self.error = error
-        self.opening += self.period / (LAG + self.period) * (u_in / 100 - self.opening)
-        flow = FULL_FLOW * self.opening - (phase > 0) * max(0.0, self.volume / COMPLIANCE - peep) / (RESISTANCE + 5)
+            self.integral = 0.0 if first else min(100, max(0, self.integral + i * error * dt))
+            u_in = min(100, max(0, p * error + self.integral + (0 if first else d * (error - self.before) / dt)))
+        self.before = error
+        self.opening += dt / (LAG + dt) * (max(0, u_in - DEAD_ZONE) / (100 - DEAD_ZONE) - self.opening)
+        flow = FULL_FLOW * self.opening - (phase > 0) * max(0, self.volume / COMPLIANCE - peep) / (RESISTANCE + 5)
         sample = varint(self.breath) + varint(self.tick) + bytes([phase, phase > 0])
         self.samples.append(sample + floats(target, self.pressure, u_in) + b"\0\0\1" + floats(flow))
-        self.volume += self.period * flow
+        self.volume += dt * flow
         self.pressure = self.volume / COMPLIANCE + RESISTANCE * flow
-        self.ticks, self.tick = self.ticks + 1, self.tick + 1
-        if not self.pressure <= limit:
-            self.mode, self.volume, self.pressure = FAULT, peep * COMPLIANCE, peep
-            events = frame(bytes([1, 2, HIGH_PRESSURE]) + varint(self.ticks))
-        if len(self.samples) == BATCH or events:
-            first = self.ticks - len(self.samples)
-            head = varint(self.batches) + varint(first) + bytes(4) + floats(0.0) + varint(len(self.samples))
-            events = frame(bytes([1, 0]) + head + b"".join(self.samples)) + events
-            self.batches, self.samples = self.batches + 1, []
-        return events
+        self.ticks, self.tick, alarm = self.ticks + 1, self.tick + 1, b""
+        if self.tick >= total:
+            self.breath, self.tick = self.breath + 1, 0
+        if not self.pressure <= limit:  # latches the safe state: here the lung empties at once
+            self.mode, self.opening, self.volume, self.pressure = FAULT, 0.0, peep * COMPLIANCE, peep
+            alarm = frame(b"\1\2" + FAULT[1:] + varint(self.ticks))
+        if len(self.samples) < BATCH and not alarm:
+            return b""
+        batch, count = varint(self.batches) + varint(self.ticks - len(self.samples)), varint(len(self.samples))
+        content = b"\1\0" + batch + bytes(8) + count + b"".join(self.samples)
+        self.batches, self.samples = self.batches + 1, []
+        return frame(content) + alarm
 
 
-def main(name=None):
+def opened(name=None):
     if name:
         import serial
-
-        port = serial.Serial(name, 1_000_000, timeout=0)
-        read, write = lambda: port.read(4096), port.write
-    else:
-        master, slave = os.openpty()
-        __import__("tty").setraw(slave)
-        os.set_blocking(master, False)
-        print("listening at", os.ttyname(slave), file=sys.stderr, flush=True)
-        read, write = lambda: os.read(master, 4096), lambda data: os.write(master, data)
-    ventilator, heard, last, due = Ventilator(), b"", (b"", b""), time.monotonic()
-    while True:
-        out = b""
-        try:
-            heard += read()
-        except BlockingIOError:
-            time.sleep(0.002)
-        *frames, heard = heard.split(b"\0")
-        for content in filter(None, map(content_of, frames)):
-            if content != last[0]:  # a repeated request is answered again, not executed again
-                sequence, rest = take_varint(content)
-                kind, rest = take_varint(rest)
-                last = content, frame(b"\0" + varint(sequence) + ventilator.answer(kind, rest))
-            out += last[1]
-        now = time.monotonic()
-        while due <= now:
-            due += ventilator.period
-            events = ventilator.step() if ventilator.mode == VENTILATING else b""
-            out += events if ventilator.telemetry else b""
-        try:
-            write(out)
-        except BlockingIOError:
-            pass  # nobody reads: the batch is lost, and its number shows that
+        port = serial.Serial(name, 1_000_000, timeout=0.002)
+        return lambda: port.read(4096), port.write
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    print("listening on", os.ttyname(slave), file=sys.stderr, flush=True)
+    return lambda: os.read(master, 4096), lambda data: os.write(master, data)
 
 
-main(*sys.argv[1:2])
+(read, write), ventilator, due = opened(*sys.argv[1:2]), Ventilator(), time.monotonic()
+heard, pending, last = b"", b"", (b"", b"")
+while True:
+    out = time.sleep(0.002) or b""
+    with suppress(BlockingIOError):  # nothing has come
+        heard += read()
+    *frames, heard = heard.split(b"\0")
+    for content in filter(None, map(content_of, frames)):
+        if content != last[0]:  # a repeated request is answered again, but not executed again
+            sequence, rest = take_varint(content)
+            kind, rest = take_varint(rest)
+            last = content, frame(b"\0" + varint(sequence) + ventilator.answer(kind, rest))
+        out += last[1]
+    while due <= time.monotonic():
+        due += PERIOD_US * 1e-6
+        events = ventilator.step(PERIOD_US * 1e-6) if ventilator.mode == VENTILATING else b""
+        out += events if ventilator.telemetry else b""
+    pending += out if len(pending) < 65536 else b""  # nobody reads: lost batches show in their numbers
+    with suppress(BlockingIOError):
+        pending = pending[write(pending) :]

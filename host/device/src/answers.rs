@@ -95,3 +95,61 @@ fn belongs(request: &Request, response: &Response) -> bool {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared::control::pid::PidGains;
+    use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind};
+    use shared::reset::ResetCause;
+    use shared::settings::Settings;
+    use shared::ventilator::Mode;
+    use shared::weights::slots::SlotState;
+
+    fn greeting(period_us: u32) -> Response {
+        Response::Identity(DeviceIdentity {
+            protocol: shared::link::PROTOCOL,
+            firmware: [0, 1, 0],
+            device: DeviceKind::ThirdParty,
+            period_us,
+            mode: Mode::Standby,
+            controller: ControllerChoice::Pid(PidGains { p: 3.0, i: 30.0, d: 0.0 }),
+            exploration: None,
+            slots: [SlotState::Empty; 2],
+            running: None,
+            reset: ResetCause::PowerOn,
+            failure: None,
+            weights_key: None,
+        })
+    }
+
+    #[test]
+    fn a_greeting_needs_a_possible_period() {
+        let accepted = |period_us| check(&Request::Identify, &greeting(period_us)).is_ok();
+        assert!([250, 1000, 50_000].into_iter().all(accepted));
+        assert!(![0, 1, 249, 50_001, 10_000_000, u32::MAX].into_iter().any(accepted));
+    }
+
+    #[test]
+    fn settings_that_no_device_accepts_are_not_shown() {
+        let reported = |in_force, pending| {
+            check(&Request::GetSettings, &Response::Settings { in_force, pending })
+                .map_err(|error| error.to_string())
+        };
+        let sound = Settings::default();
+        assert_eq!(reported(sound, Some(sound)), Ok(()));
+        let wrong = Settings { rate: f32::NAN, ..sound };
+        assert!(reported(wrong, None).unwrap_err().contains("rate is NaN"));
+        assert!(
+            reported(sound, Some(Settings { peep: 900.0, ..sound })).unwrap_err().contains("peep is 900")
+        );
+    }
+
+    #[test]
+    fn an_answer_of_another_kind_is_named_beside_its_request() {
+        let error = check(&Request::GetSettings, &Response::Mode(Mode::Standby)).unwrap_err().to_string();
+        assert!(error.contains("answers GetSettings with Mode"), "{error}");
+        let error = check(&Request::Telemetry { on: true }, &Response::Done).unwrap_err().to_string();
+        assert!(error.contains("answers Telemetry with Done"), "{error}");
+    }
+}

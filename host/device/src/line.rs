@@ -259,3 +259,121 @@ fn is_possible(message: &ToHost) -> bool {
 pub(crate) fn patient(kind: ErrorKind) -> bool {
     matches!(kind, ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use shared::link::refusal::Refusal;
+    use shared::link::telemetry::{BreathSummary, Counters, PackedSample, TelemetryBatch};
+    use shared::safety::alarms::Fault;
+    use shared::ventilator::Sample;
+
+    fn reader() -> (Reader, Receiver<Answer>, Receiver<Event>) {
+        let ((answers, answered), (events, happened)) = (channel(), channel());
+        let (losses, heard) = (LossCounter::default(), Heard::default());
+        let reader =
+            Reader { answers, events, losses, heard, counters: Arc::default(), decoder: FrameDecoder::new() };
+        (reader, answered, happened)
+    }
+
+    fn batch(first_tick: u64, samples: usize) -> ToHost {
+        let sample = Sample {
+            breath: 0,
+            tick: 0,
+            phase: shared::breath::Phase::Inspiration,
+            target: 20.0,
+            pressure: 19.0,
+            u_in: 30.0,
+            u_out: false,
+            explore: 0.0,
+            learned: 0.0,
+            flow: None,
+        };
+        let samples = (0..samples).map(|_| PackedSample::pack(&sample)).collect();
+        ToHost::Event(Event::Telemetry(TelemetryBatch {
+            sequence: 0,
+            first_tick,
+            counters: Counters::default(),
+            samples,
+        }))
+    }
+
+    fn framed(message: &ToHost) -> Vec<u8> {
+        encode_frame(message, &mut [0; FRAME_BYTES]).unwrap().to_vec()
+    }
+
+    #[test]
+    fn ticks_with_which_no_display_can_count_are_left_out_and_counted() {
+        let (mut reader, _answered, happened) = reader();
+        let (fault, tick) = (Fault::Apnoea, u64::MAX);
+        for message in [
+            batch(7, 0),
+            batch(LAST_TICK, 1),
+            batch(u64::MAX, 16),
+            ToHost::Event(Event::Alarm { fault, tick }),
+        ] {
+            assert!(reader.take_all(&framed(&message)));
+        }
+        assert_eq!((happened.try_iter().count(), reader.heard.unreadable, reader.heard.events), (0, 4, 0));
+        assert_eq!(reader.counters.lock().unwrap().0.corrupt, 4);
+        reader.take_all(&framed(&batch(LAST_TICK - 1, 1)));
+        assert_eq!(happened.try_iter().count(), 1);
+    }
+
+    fn messages() -> impl Strategy<Value = ToHost> {
+        let summary = BreathSummary {
+            breath: 3,
+            mean_absolute_error: f32::NAN,
+            peak_pressure: f32::INFINITY,
+            end_pressure: 5.0,
+            leak: None,
+            lesson: shared::control::memory::Lesson::Adopt,
+            adopted: 0,
+        };
+        prop_oneof![
+            (any::<u64>(), 0usize..17).prop_map(|(tick, samples)| batch(tick, samples)),
+            any::<u16>().prop_map(|sequence| {
+                ToHost::Response { sequence, response: Response::Refused(Refusal::UnknownRequest) }
+            }),
+            Just(ToHost::Event(Event::Breath(summary))),
+        ]
+    }
+
+    proptest! {
+        /// Frames, some of them damaged or cut short, among bytes of chance.
+        #[test]
+        fn whatever_comes_is_passed_on_or_counted(
+            parts in prop::collection::vec(
+                prop_oneof![
+                    prop::collection::vec(any::<u8>(), 0..40),
+                    messages().prop_map(|message| framed(&message)),
+                    (messages(), any::<prop::sample::Index>(), 1u8..=255).prop_map(|(message, place, flip)| {
+                        let mut bytes = framed(&message);
+                        let place = place.index(bytes.len());
+                        bytes[place] ^= flip;
+                        bytes
+                    }),
+                    (messages(), any::<prop::sample::Index>()).prop_map(|(message, place)| {
+                        let bytes = framed(&message);
+                        bytes[..place.index(bytes.len())].to_vec()
+                    }),
+                ],
+                0..12,
+            ),
+        ) {
+            let (mut reader, answered, happened) = reader();
+            prop_assert!(parts.iter().all(|part| reader.take_all(part)));
+            let heard = reader.heard;
+            prop_assert_eq!(heard.bytes, parts.iter().map(|part| part.len() as u64).sum::<u64>());
+            let events: Vec<Event> = happened.try_iter().collect();
+            prop_assert!(events.iter().all(|event| is_possible(&ToHost::Event(event.clone()))));
+            prop_assert_eq!(events.len() as u64, heard.events);
+            let others = answered.try_iter().filter(|answer| matches!(answer, Answer::OtherProtocol(_))).count() as u64;
+            let counters = *reader.decoder.counters();
+            prop_assert!(others <= heard.unreadable);
+            prop_assert_eq!(u64::from(counters.frames), heard.answers + heard.events + heard.unreadable);
+            prop_assert_eq!(u64::from(counters.corrupt()), heard.corrupt);
+        }
+    }
+}

@@ -7,6 +7,8 @@ mod bedside;
 mod blackbox;
 mod commission;
 mod completions;
+#[cfg(unix)]
+mod device;
 mod export;
 mod farm;
 mod formats;

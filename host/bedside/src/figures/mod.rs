@@ -25,6 +25,8 @@ const END_S: f32 = 0.05;
 const AVERAGED_S: f32 = 30.0;
 /// Ticks by which a breath may be shorter than set before an effort must have ended it.
 const EARLY_TICKS: u32 = 2;
+/// Time after which a breath has no figures, s: the slowest takes 15 s, and a lung that empties slowly 30 s more.
+const LONGEST_S: f32 = 60.0;
 /// Seconds in a minute.
 const MINUTE: f32 = 60.0;
 /// From mL to L.
@@ -98,7 +100,9 @@ impl BreathMeter {
         sample: &Sample,
         settings: Option<&Settings>,
     ) -> (Point, Option<BreathFigures>) {
-        if tick != self.next_tick {
+        // A breath without an end would fill the memory.
+        let endless = |breath: &Running| breath.ticks as f32 * self.period_s > LONGEST_S;
+        if tick != self.next_tick || self.breath.as_ref().is_some_and(endless) {
             self.interrupted();
         }
         self.next_tick = tick + 1;
