@@ -8,6 +8,12 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use data::recording::Recording;
+use device::DeviceError;
+use shared::calibration::Calibration;
+use shared::control::pid::PidGains;
+use shared::link::messages::{ControllerChoice, Request};
+use shared::link::self_test::Check;
+use shared::recorder::RecorderPart;
 use shared::settings::Settings;
 
 use super::python::{example, python_is_there};
@@ -397,4 +403,60 @@ fn a_device_that_falls_silent_is_left_after_twenty_seconds() {
     assert!(refused.contains("2 complete breaths are saved in a.parquet"), "{refused}");
     assert!((20..40).contains(&started.elapsed().as_secs()), "{:?}", started.elapsed());
     assert_eq!(Recording::load(place.path("a.parquet")).unwrap().inspirations().len(), 3);
+}
+
+/// The stars of the page, and what the example really knows.
+#[test]
+fn the_example_knows_the_requests_that_the_page_marks() {
+    if !python_is_there() {
+        return;
+    }
+    let place = Place::new();
+    let board = Board::start(&place, &[]);
+    let mut device = board.connected();
+    let page = include_str!("../../../docs/DEVICE_LINK.md");
+    for request in [
+        Request::Identify,
+        Request::GetSettings,
+        Request::ApplySettings(Settings::default()),
+        Request::Start,
+        Request::Stop,
+        Request::Acknowledge,
+        Request::SetController(ControllerChoice::Pid(PidGains { p: 1.0, i: 2.0, d: 0.0 })),
+        Request::SetExploration(None),
+        Request::Telemetry { on: true },
+        Request::BeginWeights { length: 1, id: 2 },
+        Request::WeightsChunk { offset: 0, bytes: Default::default() },
+        Request::CommitWeights,
+        Request::Reset,
+        Request::QueueSettings(Settings::default()),
+        Request::GetTiming { clear: false },
+        Request::ResetPlant { seed: 1 },
+        Request::GetRecorder,
+        Request::ReadRecorder { part: RecorderPart::Log, from: 0 },
+        Request::ClearRecorder,
+        Request::GetAlarms,
+        Request::PauseAudio { seconds: 1 },
+        Request::GetAudio,
+        Request::GetSelfTest,
+        Request::RunSelfTest(Check::Zero),
+        Request::AcquireLease { name: device::host_name(), take_over: false },
+        Request::ReleaseLease,
+        Request::GetLease,
+        Request::StoreCalibration(Calibration {
+            sensor_zero: 0.0,
+            sensor_gain: 1.0,
+            dead_time_ms: 12.0,
+            lag_ms: 25.0,
+            valve_flow: [0.25, 0.75, 1.25, 1.75],
+            measured_at: 0,
+        }),
+        Request::GetCalibration { back: 0 },
+    ] {
+        let name: String = format!("{request:?}").chars().take_while(char::is_ascii_alphanumeric).collect();
+        let marked = page.contains(&format!(" {name}* "));
+        assert!(marked || page.contains(&format!(" {name} ")), "{name}");
+        let known = !matches!(device.request(&request), Err(DeviceError::Unknown(_)));
+        assert_eq!(known, marked, "{name}");
+    }
 }

@@ -73,6 +73,16 @@ fn the_figures_of_a_known_breath() {
 }
 
 #[test]
+fn an_inspiration_without_an_end_is_given_up_and_the_next_breath_has_figures() {
+    let mut meter = BreathMeter::new(PERIOD_US);
+    for tick in 0..70_000 {
+        meter.take(tick, &Sample { tick: tick as u32, ..sample(0, 500) }, None);
+    }
+    assert!(meter.breath.is_none(), "it would fill the memory");
+    assert_eq!(run(&mut meter, 70_000, &[TICKS; 3]).len(), 2);
+}
+
+#[test]
 fn an_effort_ends_a_breath_early_and_the_next_one_is_triggered() {
     let figures = run(&mut BreathMeter::new(PERIOD_US), 0, &[TICKS, 2500, TICKS, TICKS]);
     let triggered: Vec<bool> = figures.iter().map(|figures| figures.triggered).collect();

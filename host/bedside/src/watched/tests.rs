@@ -364,3 +364,51 @@ fn the_level_names_the_controller_that_commands() {
     ];
     assert_eq!(found, ["learned", "pid", "pid", "capped", "backup"]);
 }
+
+/// Texts of the events about the device itself.
+fn complaints(out: &[Out]) -> Vec<&str> {
+    let text = |out: &'_ Out| match out {
+        Out::Message(ToPage::Event { kind: EventKind::Device, .. }) => true,
+        _ => false,
+    };
+    let texts = out.iter().filter(|out| text(out));
+    texts
+        .map(|out| if let Out::Message(ToPage::Event { text, .. }) = out { text.as_str() } else { "" })
+        .collect()
+}
+
+#[test]
+fn what_a_device_does_not_report_is_told_once_and_not_if_the_line_is_lost() {
+    let unknown =
+        News::Answer { request: Request::GetLease, result: Err("it does not know GetLease".to_owned()) };
+    let traffic = News::Traffic(LineCounters::default());
+    let mut watched = watched();
+    take(&mut watched, &News::Answer { request: Request::GetAudio, result: Err("gone".into()) }, 1);
+    take(&mut watched, &News::Lost("gone".into()), 2);
+    assert_eq!(complaints(&take(&mut watched, &traffic, 3)), Vec::<&str>::new(), "that was the line");
+    take(&mut watched, &unknown, 4);
+    assert_eq!(complaints(&take(&mut watched, &traffic, 5)), ["not shown: it does not know GetLease"]);
+    take(&mut watched, &unknown, 6);
+    assert_eq!(complaints(&take(&mut watched, &traffic, 7)), Vec::<&str>::new());
+    let started = News::Answer { request: Request::Start, result: Err("refused".into()) };
+    take(&mut watched, &started, 8);
+    assert_eq!(complaints(&take(&mut watched, &traffic, 9)), Vec::<&str>::new(), "the page has its answer");
+}
+
+#[test]
+fn impossible_samples_are_left_out_and_told() {
+    let mut watched = watched();
+    let wrong = Sample { u_in: f32::NAN, ..sample(102) };
+    take(&mut watched, &batch_of(100, &[sample(100), sample(101), wrong, sample(103)]), 1);
+    assert_eq!(flushed(&mut watched), [(103, 1)], "those before the gap were given out");
+    let told = take(&mut watched, &News::Traffic(LineCounters::default()), 2);
+    assert!(complaints(&told)[0].contains("a valve command of NaN %"), "{told:?}");
+    for way in 0..40 {
+        let wrong = Sample { u_in: 200.0 + way as f32, ..sample(0) };
+        take(&mut watched, &batch_of(200 + way, &[wrong]), 3);
+    }
+    assert_eq!(
+        complaints(&take(&mut watched, &News::Traffic(LineCounters::default()), 4)).len(),
+        COMPLAINTS - 1
+    );
+}

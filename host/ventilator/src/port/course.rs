@@ -184,7 +184,10 @@ mod tests {
         assert!(said(40, |sample| sample.tick = 39).contains("backwards, to tick 39 of breath 3"));
         assert!(said(40, |sample| sample.breath = 2).contains("backwards"));
         assert!(said(40, |sample| (sample.breath, sample.tick) = (4, 0)).contains("breath of 40 ticks"));
-        assert!(said(120, |sample| sample.phase = Phase::Inspiration).contains("more than its 100 ticks"));
+        assert!(
+            said(100, |sample| (sample.phase, sample.u_out) = (Phase::Inspiration, false))
+                .contains("more than its 100 ticks")
+        );
         assert!(said(200, |sample| sample.phase = Phase::Fall).contains("Fall after Expiration"));
         assert_eq!(changed(40, |sample| sample.tick = 41), Step::Gap);
         assert_eq!(changed(40, |sample| sample.breath = 9), Step::Gap);

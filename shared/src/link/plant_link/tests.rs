@@ -55,7 +55,10 @@ fn the_frames_of_the_document_are_these() {
     let greeting = PlantMessage::Greeting { version: VERSION, highest: 150, period_us: 30_000 };
     for message in [hello, greeting] {
         let bytes = PlantFrame { tick: 1, message }.encode();
-        let shown = bytes.iter().map(|byte| std::format!("{byte:02X}")).collect::<Vec<_>>().join(" ");
+        let words = bytes
+            .chunks(4)
+            .map(|word| word.iter().map(|byte| std::format!("{byte:02X}")).collect::<std::string::String>());
+        let shown = words.collect::<Vec<_>>().join(" ");
         assert!(document.contains(&shown), "{shown}");
     }
 }

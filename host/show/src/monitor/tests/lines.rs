@@ -63,3 +63,23 @@ fn a_breath_of_the_learned_controller_says_how_many_it_remembers() {
         "breath 7: mean error 1.25, peak 21.5, end 5.1 cmH2O, leak 0.010 L/s at 1 cmH2O, 2 of 4 breaths remembered"
     );
 }
+
+#[test]
+fn a_device_that_does_not_know_polled_requests_is_told_once_of_each() {
+    let unknown = |request| News::Answer { request, result: Err("the device does not know it".to_owned()) };
+    let poll = || [unknown(Request::GetLease), unknown(Request::GetAudio)];
+    let lines = written(poll().into_iter().chain(poll()).chain(poll()));
+    assert_eq!(lines, ["lease: the device does not know it", "sounder: the device does not know it"]);
+    // An answer in between makes the next failure new; another reason is new anyway.
+    let lost = News::Answer { request: Request::GetLease, result: Err("no answer".to_owned()) };
+    let again = [unknown(Request::GetLease), steered(None, false), unknown(Request::GetLease), lost];
+    let lines = written(again);
+    assert_eq!(lines.iter().filter(|line| line.starts_with("lease: ")).count(), 3, "{lines:?}");
+}
+
+#[test]
+fn the_same_reason_for_a_lost_connection_is_written_once_until_it_is_back() {
+    let lost = || News::Lost("the device uses protocol 5".to_owned());
+    let lines = written([lost(), lost(), lost(), greeting(Mode::Standby), lost()]);
+    assert_eq!(lines.iter().filter(|line| line.starts_with("no connection")).count(), 2, "{lines:?}");
+}

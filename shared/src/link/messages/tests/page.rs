@@ -3,7 +3,9 @@
 use std::format;
 
 use super::*;
-use crate::control::pid::KNOWN_GOOD;
+use crate::control::memory::Lesson;
+use crate::control::pid::{KNOWN_GOOD, PidGains};
+use crate::settings::{FieldIndex, Settings, SettingsError};
 
 const PAGE: &str = include_str!("../../../../../docs/DEVICE_LINK.md");
 
@@ -15,7 +17,8 @@ fn list(heading: &str) -> StdVec<(u8, &'static str)> {
     let rows = lines.filter(|line| !line.starts_with(' '));
     rows.map(|row| {
         let mut words = row.split_whitespace();
-        (words.next().unwrap().parse().unwrap(), words.next().unwrap())
+        // A star marks what a small device knows.
+        (words.next().unwrap().parse().unwrap(), words.next().unwrap().trim_end_matches('*'))
     })
     .collect()
 }
@@ -49,6 +52,18 @@ fn the_page_numbers_every_message() {
     let refused = [Response::Refused(Refusal::NoLease)];
     let responses = responses().into_iter().map(|(response, _)| response).chain(refused);
     compare("Responses:", &variants(responses));
+    let error = SettingsError::OutOfBounds { field: FieldIndex(0), value: 80.0, min: 5.0, max: 60.0 };
+    compare(
+        "Refusals that a small device needs:",
+        &variants([
+            Refusal::Settings(error),
+            Refusal::FaultLatched,
+            Refusal::NoFault,
+            Refusal::UnknownRequest,
+            Refusal::QueueFull,
+            Refusal::NotConfirmed,
+        ]),
+    );
     compare("Events:", &variants(events().into_iter().map(|(event, _)| event)));
     assert!(PAGE.contains(&format!("It describes version {PROTOCOL}.")));
     assert!(PAGE.contains(&format!("1 to {MESSAGE_BYTES} bytes")));
@@ -111,13 +126,17 @@ fn board() -> DeviceIdentity {
 #[test]
 fn the_frames_of_the_page_are_what_is_written_above_them() {
     let frames = examples();
-    assert_eq!(frames.len(), 7);
+    assert_eq!(frames.len(), 17);
     let host = Some(0x1234_5678);
     let lease = Request::AcquireLease { name: HostName::new("anna"), take_over: false };
+    let pid = ControllerChoice::Pid(PidGains { p: 3.0, i: 30.0, d: 0.0 });
     let asked = [
         (0, ToDevice { sequence: 1, request: Request::Identify, host: None }),
         (2, ToDevice { sequence: 2, request: lease, host }),
         (4, ToDevice { sequence: 3, request: Request::Start, host }),
+        (7, ToDevice { sequence: 6, request: Request::SetController(pid), host }),
+        (9, ToDevice { sequence: 4, request: Request::QueueSettings(Settings::default()), host }),
+        (13, ToDevice { sequence: 7, request: Request::GetLease, host }),
     ];
     for (at, expected) in asked {
         assert_eq!(read_request(&frames[at]), Ok(expected));
@@ -135,11 +154,28 @@ fn the_frames_of_the_page_are_what_is_written_above_them() {
         flow: None,
     });
     let counters = Counters { worst_tick_us: 42, mean_tick_us: 17.5, ..Counters::default() };
+    let summary = BreathSummary {
+        breath: 3,
+        mean_absolute_error: 1.25,
+        peak_pressure: 21.5,
+        end_pressure: 5.1,
+        leak: None,
+        lesson: Lesson::Adopt,
+        adopted: 0,
+    };
+    let error = SettingsError::OutOfBounds { field: FieldIndex(0), value: 80.0, min: 5.0, max: 60.0 };
     let told = [
         (1, answer(1, Response::Identity(board()))),
         (3, answer(2, Response::Lease(LeaseStatus { holder: Some(HostName::new("anna")), yours: true }))),
         (5, answer(3, Response::Refused(Refusal::NotConfirmed))),
         (6, ToHost::Event(batch(7, 1000, counters, &[one]))),
+        (8, answer(6, Response::Controller(pid))),
+        (10, answer(4, Response::Queued { free: 7 })),
+        (11, answer(8, Response::Refused(Refusal::Settings(error)))),
+        (12, answer(9, Response::Mode(Mode::Ventilating))),
+        (14, answer(7, Response::Refused(Refusal::UnknownRequest))),
+        (15, ToHost::Event(Event::Breath(summary))),
+        (16, ToHost::Event(Event::Alarm { fault: Fault::HighPressure, tick: 5000 })),
     ];
     for (at, expected) in told {
         assert_eq!(read_reply(&frames[at]), Ok(expected));
