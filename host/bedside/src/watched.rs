@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 
-use device::impossible;
 use monitoring::reported::Reported;
 use monitoring::{News, POLLED, words};
 use shared::control::memory::{LEARNING, Lesson};
@@ -223,7 +222,7 @@ impl Watched {
     fn samples(&mut self, batch: &TelemetryBatch, now_ms: u64, out: &mut Vec<Out>) {
         for (tick, packed) in (batch.first_tick..).zip(&batch.samples) {
             let sample = packed.unpack();
-            if let Some(what) = impossible(&sample) {
+            if let Some(what) = words::impossible(&sample) {
                 self.complain(format!("samples left out: the device sends {what} (docs/DEVICE_LINK.md)"));
                 continue;
             }

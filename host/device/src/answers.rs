@@ -1,22 +1,15 @@
 //! Which answers belong to a request, and which no device can give.
 
 use std::fmt::Debug;
-use std::ops::RangeInclusive;
 
 use shared::breath::PERIOD_BOUNDS_US;
 use shared::link::messages::{Request, Response};
-
-use shared::ventilator::Sample;
 
 use super::DeviceError;
 
 /// Shortest and longest control period, microseconds.
 pub(super) const SHORTEST_US: u32 = PERIOD_BOUNDS_US.0;
 pub(super) const LONGEST_US: u32 = PERIOD_BOUNDS_US.1;
-/// Largest pressure that counts as one, cmH2O: ten times what breaks a lung.
-const PRESSURE_MAX: f32 = 1000.0;
-/// Valve commands that count as such, percent.
-const VALVE: RangeInclusive<f32> = 0.0..=100.0;
 
 /// Name of a message's variant.
 pub(super) fn kind(message: &impl Debug) -> String {
@@ -45,22 +38,6 @@ pub(super) fn check(request: &Request, response: &Response) -> Result<(), Device
             .and(pending.map_or(Ok(()), |next| next.validate()))
             .map_err(DeviceError::Settings),
         _ => Ok(()),
-    }
-}
-
-/// What is impossible about a sample, in words. A pressure that is not a number is possible: no sensor may be sound.
-pub fn impossible(sample: &Sample) -> Option<String> {
-    let Sample { target, pressure, u_in, explore, learned, flow, .. } = *sample;
-    if !VALVE.contains(&u_in) {
-        Some(format!("a valve command of {u_in} %"))
-    } else if !(target.abs() <= PRESSURE_MAX) {
-        Some(format!("a target of {target} cmH2O"))
-    } else if pressure.abs() > PRESSURE_MAX {
-        Some(format!("a pressure of {pressure} cmH2O"))
-    } else if !explore.is_finite() || !learned.is_finite() {
-        Some(format!("a perturbation of {explore} % and a learned part of {learned} %"))
-    } else {
-        flow.filter(|flow| !flow.is_finite()).map(|flow| format!("a flow of {flow} L/s"))
     }
 }
 

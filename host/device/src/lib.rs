@@ -36,7 +36,6 @@ use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 use thiserror::Error;
 
-pub use answers::impossible;
 use answers::{LONGEST_US, SHORTEST_US, kind, unexpected};
 pub use host::name as host_name;
 pub use line::Heard;

@@ -1,6 +1,7 @@
 //! Modes, alarms, controllers and reset causes as text.
 
 use std::cmp::Reverse;
+use std::ops::RangeInclusive;
 
 use shared::control::memory::Lesson;
 use shared::device::annunciator::AudioStatus;
@@ -9,7 +10,12 @@ use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
 use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Field, Settings};
-use shared::ventilator::Mode;
+use shared::ventilator::{Mode, Sample};
+
+/// Pressures that count as such, cmH2O: ten times what breaks a lung.
+const PRESSURE: RangeInclusive<f32> = -1000.0..=1000.0;
+/// Valve commands that count as such, percent.
+const VALVE: RangeInclusive<f32> = 0.0..=100.0;
 
 /// The ventilator's mode.
 pub fn mode(mode: Mode) -> String {
@@ -65,6 +71,22 @@ pub fn lesson(lesson: Lesson) -> &'static str {
         Lesson::Adopt => "adopt",
         Lesson::Discard => "discard",
         Lesson::Forget => "forget",
+    }
+}
+
+/// What is impossible about a sample, in words. A pressure that is not a number is possible: no sensor may be sound.
+pub fn impossible(sample: &Sample) -> Option<String> {
+    let Sample { target, pressure, u_in, explore, learned, flow, .. } = *sample;
+    if !VALVE.contains(&u_in) {
+        Some(format!("a valve command of {u_in} %"))
+    } else if !PRESSURE.contains(&target) {
+        Some(format!("a target of {target} cmH2O"))
+    } else if !pressure.is_nan() && !PRESSURE.contains(&pressure) {
+        Some(format!("a pressure of {pressure} cmH2O"))
+    } else if !explore.is_finite() || !learned.is_finite() {
+        Some(format!("a perturbation of {explore} % and a learned part of {learned} %"))
+    } else {
+        flow.filter(|flow| !flow.is_finite()).map(|flow| format!("a flow of {flow} L/s"))
     }
 }
 

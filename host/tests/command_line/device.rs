@@ -237,7 +237,7 @@ const GREETINGS: [Mistake; 9] = [
 ];
 
 /// Mistakes in the samples.
-const SAMPLES: [Mistake; 8] = [
+const SAMPLES: [Mistake; 9] = [
     (
         "no number",
         &[("floats(target, self.pressure, u_in)", "floats(target, 0 * 1e999, u_in)")],
@@ -257,6 +257,11 @@ const SAMPLES: [Mistake; 8] = [
         "a breath without an end",
         &[("if self.tick >= total:", "if False:"), ("due += PERIOD_US * 1e-6", "due += PERIOD_US * 2e-7")],
         "a breath without an end: 31000 ticks",
+    ),
+    (
+        "a slow clock",
+        &[("due += PERIOD_US * 1e-6", "due += PERIOD_US * 4e-6")],
+        "2000 samples of 1000 us, which is 2.0 s, in",
     ),
     (
         "an inspiration without an end",

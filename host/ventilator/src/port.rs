@@ -235,9 +235,8 @@ impl PortSource {
                     self.be_heard(batch.samples.len())?;
                 }
                 Ok(Event::Alarm { fault, .. }) => self.heed(fault)?,
-                // An alarm of an earlier recording is none of this one.
-                Ok(Event::Breath(_) | Event::Unacknowledged { .. }) => {}
-                Err(RecvTimeoutError::Timeout) => {}
+                // An alarm of an earlier recording is none of this one; the deadline is looked at above.
+                Ok(Event::Breath(_) | Event::Unacknowledged { .. }) | Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     return Err(DeviceError::Gone(self.device.address().clone()).into());
                 }

@@ -367,14 +367,13 @@ fn the_level_names_the_controller_that_commands() {
 
 /// Texts of the events about the device itself.
 fn complaints(out: &[Out]) -> Vec<&str> {
-    let text = |out: &'_ Out| match out {
-        Out::Message(ToPage::Event { kind: EventKind::Device, .. }) => true,
-        _ => false,
-    };
-    let texts = out.iter().filter(|out| text(out));
-    texts
-        .map(|out| if let Out::Message(ToPage::Event { text, .. }) = out { text.as_str() } else { "" })
-        .collect()
+    fn text(out: &Out) -> Option<&str> {
+        match out {
+            Out::Message(ToPage::Event { kind: EventKind::Device, text, .. }) => Some(text),
+            _ => None,
+        }
+    }
+    out.iter().filter_map(text).collect()
 }
 
 #[test]

@@ -15,7 +15,7 @@ use shared::ventilator::Mode;
 
 use super::News;
 use super::words;
-use device::{LineCounters, impossible};
+use device::LineCounters;
 
 /// The state that was written last.
 #[derive(Clone, Debug, Default)]
@@ -85,7 +85,7 @@ impl Lines {
         if self.impossible {
             return None;
         }
-        let what = batch.samples.iter().find_map(|sample| impossible(&sample.unpack()))?;
+        let what = batch.samples.iter().find_map(|sample| words::impossible(&sample.unpack()))?;
         self.impossible = true;
         Some(format!("samples: the device sends {what}; compare its samples with docs/DEVICE_LINK.md"))
     }

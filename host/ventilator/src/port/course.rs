@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use device::impossible;
+use monitoring::words::impossible;
 use shared::breath::{Breath, Phase};
 use shared::link::messages::DeviceKind;
 use shared::ventilator::Sample;
@@ -146,7 +146,7 @@ mod tests {
         Breath::new(&paper_settings(20.0), 10_000).unwrap()
     }
 
-    /// The last step of a breath in which `change` has changed the sample of tick 40, 120 or 200.
+    /// The last step of a breath in which `change` has changed the sample of this tick.
     fn changed(at: u32, change: impl Fn(&mut Sample)) -> Step {
         let asked = breath();
         let mut course = Course::new(&asked);
