@@ -22,7 +22,7 @@ use super::support::{Place, text};
 /// Short breaths.
 const SHORT: &str = "--settings rate=60,inspiratory_time=0.4,fall_time=0.2";
 /// Time within which every command must have given up, whatever the device does: 20 s without samples, and 1 s for the rest.
-const LONG: Duration = Duration::from_secs(60);
+const LONG: Duration = Duration::from_mins(1);
 
 /// The example with changes, each of which its source must contain once. Ends when dropped.
 struct Board {
@@ -186,7 +186,7 @@ fn stream_of(host: &str) -> String {
     stream.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
     let (mut all, started) = (Vec::new(), Instant::now());
     while started.elapsed() < Duration::from_secs(4) {
-        let mut chunk = [0; 65536];
+        let mut chunk = [0; 4096];
         let count = stream.read(&mut chunk).unwrap_or(0);
         all.extend_from_slice(&chunk[..count]);
     }
@@ -431,7 +431,7 @@ fn the_example_knows_the_requests_that_the_page_marks() {
         Request::SetExploration(None),
         Request::Telemetry { on: true },
         Request::BeginWeights { length: 1, id: 2 },
-        Request::WeightsChunk { offset: 0, bytes: Default::default() },
+        Request::WeightsChunk { offset: 0, bytes: std::iter::empty().collect() },
         Request::CommitWeights,
         Request::Reset,
         Request::QueueSettings(Settings::default()),

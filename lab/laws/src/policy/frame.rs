@@ -273,7 +273,7 @@ mod tests {
         for message in [observe, PolicyMessage::Command { u_in: 40.0 }] {
             let bytes = PolicyFrame { number: 258, message }.encode();
             let words =
-                bytes.chunks(4).map(|word| word.iter().map(|byte| format!("{byte:02X}")).collect::<String>());
+                bytes.as_chunks::<4>().0.iter().map(|word| format!("{:08X}", u32::from_be_bytes(*word)));
             let shown = words.collect::<Vec<_>>().join(" ");
             assert!(document.contains(&shown), "{shown}");
         }

@@ -55,9 +55,8 @@ fn the_frames_of_the_document_are_these() {
     let greeting = PlantMessage::Greeting { version: VERSION, highest: 150, period_us: 30_000 };
     for message in [hello, greeting] {
         let bytes = PlantFrame { tick: 1, message }.encode();
-        let words = bytes
-            .chunks(4)
-            .map(|word| word.iter().map(|byte| std::format!("{byte:02X}")).collect::<std::string::String>());
+        let words =
+            bytes.as_chunks::<4>().0.iter().map(|word| std::format!("{:08X}", u32::from_be_bytes(*word)));
         let shown = words.collect::<Vec<_>>().join(" ");
         assert!(document.contains(&shown), "{shown}");
     }
