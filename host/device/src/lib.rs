@@ -293,8 +293,7 @@ impl Device {
                 Ok(Answer::Response { sequence, response }) if sequence == self.sequence => {
                     return Ok(Some(*response));
                 }
-                // A late answer to an abandoned request. A device that sends nothing else must not keep this going.
-                Ok(Answer::Response { .. }) if left.is_zero() => return Ok(None),
+                // A late answer to an abandoned request.
                 Ok(Answer::Response { .. }) => {}
                 Ok(Answer::OtherProtocol(device)) => return Err(DeviceError::Protocol(device)),
                 Err(RecvTimeoutError::Timeout) if turn < left => {}
