@@ -54,7 +54,7 @@ fn belongs(request: &Request, response: &Response) -> bool {
             matches!(response, Response::Progress { .. })
         }
         Request::CommitWeights => matches!(response, Response::Weights { .. }),
-        Request::Reset | Request::ResetPlant { .. } | Request::ClearRecorder => {
+        Request::Reset | Request::ResetPlant { .. } | Request::ClearRecorder | Request::CommitBench => {
             matches!(response, Response::Done)
         }
         Request::QueueSettings(_) => matches!(response, Response::Queued { .. }),

@@ -6,13 +6,17 @@ use anyhow::bail;
 
 use plant::bench::BenchConfig;
 
+/// The bench of a command line that names none.
+const USUAL_BENCH: &str = "R20C20";
+
 /// The choice of a bench.
 #[derive(Debug, clap::Args)]
 pub struct BenchArgs {
     /// Virtual bench: a lung by R and C as in R20C20, or a row of the test table as in iso-07, and on the machine for newborns as in
     /// neonate-R100C2 or neonate-iso-14; or a TOML file, which can set every parameter (`trainer inspect --bench R20C20` prints one)
-    #[arg(long, value_name = "LUNG|FILE", default_value = "R20C20")]
-    pub bench: String,
+    /// [default: R20C20]
+    #[arg(long, value_name = "LUNG|FILE")]
+    pub bench: Option<String>,
 }
 
 /// The choice of several benches.
@@ -20,7 +24,7 @@ pub struct BenchArgs {
 pub struct BenchesArgs {
     /// Virtual bench: a lung as in R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table, or a TOML file;
     /// repeat it for more
-    #[arg(long, value_name = "LUNG|FILE", default_value = "R20C20")]
+    #[arg(long, value_name = "LUNG|FILE", default_value = USUAL_BENCH)]
     pub bench: Vec<String>,
 }
 
@@ -30,7 +34,7 @@ impl BenchArgs {
     /// # Errors
     /// A name or a file that describes no bench.
     pub fn benches(&self) -> anyhow::Result<Vec<BenchConfig>> {
-        Ok(BenchConfig::find(&self.bench)?)
+        Ok(BenchConfig::find(self.name())?)
     }
 
     /// The chosen bench, which must be a single one.
@@ -38,12 +42,24 @@ impl BenchArgs {
     /// # Errors
     /// A name or a file that describes no bench, or a name that selects several.
     pub fn one(&self) -> anyhow::Result<BenchConfig> {
-        one(&self.bench)
+        one(self.name())
     }
 
     /// The file that describes the bench; none if it is a named lung.
     pub fn file(&self) -> Option<&Path> {
-        BenchConfig::file(&self.bench)
+        BenchConfig::file(self.name())
+    }
+
+    /// What a board on the desk is to simulate; none if the command line names no bench.
+    ///
+    /// # Errors
+    /// As [`BenchArgs::one`].
+    pub fn described(&self) -> anyhow::Result<Option<BenchConfig>> {
+        self.bench.as_deref().map(one).transpose()
+    }
+
+    fn name(&self) -> &str {
+        self.bench.as_deref().unwrap_or(USUAL_BENCH)
     }
 }
 

@@ -4,27 +4,33 @@ use std::ffi::OsStr;
 
 use anyhow::{Context, bail};
 use campaign::shell::quoted;
-use shared::link::messages::DeviceIdentity;
+use shared::link::messages::{DeviceIdentity, DeviceKind};
 
 use super::controller::Chosen;
 use device::Device;
 use device::port::Address;
+use plant::bench::BenchConfig;
 use show::monitor::words;
 use ventilator::PortSource;
 
 /// The choice of a device.
 #[derive(Debug, clap::Args)]
 pub struct PortArgs {
-    /// A device in place of the bench: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
-    #[arg(long, value_name = "PORT", conflicts_with_all = ["bench", "plant"])]
+    /// A device in place of the bench: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT; a board on the desk simulates --bench
+    #[arg(long, value_name = "PORT", conflicts_with = "plant")]
     pub port: Option<Address>,
 }
 
-/// The device at an address as a source for a controller; with hardware in the loop, its plant starts with `seed`.
+/// The device at an address as a source for a controller; a simulated plant starts with `seed`, and is `bench` if there is one.
 ///
 /// # Errors
-/// A device that does not answer, or whose control period is not that of the controller.
-pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<PortSource> {
+/// A device that does not answer, whose control period is not that of the controller, or that simulates no bench but is asked to.
+pub fn source(
+    address: &Address,
+    chosen: &Chosen,
+    seed: u64,
+    bench: Option<&BenchConfig>,
+) -> anyhow::Result<PortSource> {
     let device = Device::connect(address)?;
     let mut source = PortSource::new(device, seed).with_context(|| format!("cannot use {address}"))?;
     warn_of_development_build(source.identity());
@@ -36,6 +42,16 @@ pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<P
             Some(_) => "train a controller for the device".to_owned(),
         };
         bail!("the device's control period is {device_us} us, but the controller's is {asked} us: {way_out}");
+    }
+    if let Some(bench) = bench {
+        let kind = source.identity().device;
+        if kind != DeviceKind::Desk {
+            bail!(
+                "--bench is what a board on the desk simulates, but this device is a {}: leave it out",
+                words::device(kind)
+            );
+        }
+        source.simulate(bench)?;
     }
     if let Some(image) = &chosen.image {
         source.know(image.clone());

@@ -36,7 +36,7 @@ impl SourceArgs {
     ) -> anyhow::Result<Box<dyn Source>> {
         let (controller, period_us) = (chosen.chip()?.clone(), chosen.period_us);
         Ok(if let Some(address) = &self.port.port {
-            Box::new(source(address, chosen, seed)?)
+            Box::new(source(address, chosen, seed, self.bench.described()?.as_ref())?)
         } else if let Some(link) = plant {
             Box::new(PlantSource::new(link, controller, period_us, seed))
         } else {

@@ -210,7 +210,8 @@ impl Setup {
         let ground: Box<dyn Ground<AnyLaw>> = match (&args.source.port.port, plant) {
             (Some(address), _) => {
                 chosen.chip()?;
-                let source = device_source(address, &chosen, plan.seeds[0])?;
+                let described = args.source.bench.described()?;
+                let source = device_source(address, &chosen, plan.seeds[0], described.as_ref())?;
                 Box::new(DeviceGround(SourceGround::new(source)))
             }
             (None, Some(link)) => {

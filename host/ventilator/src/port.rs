@@ -27,6 +27,7 @@ use super::{REST_TIME, Reseed, Source, SourceError, Tick, TickTruth};
 use course::{Course, Step, wrong_pace};
 use device::upload::UploadError;
 use device::{Device, DeviceError};
+use plant::bench::BenchConfig;
 use progress::Progress;
 
 /// Number of samples between two keep-alive requests to the device.
@@ -46,6 +47,8 @@ pub struct PortSource {
     identity: DeviceIdentity,
     plant: String,
     plant_parameters: String,
+    /// Bench that a board on the desk simulates, which a restart makes it forget.
+    description: Option<Vec<u8>>,
     /// Seed for the plant at the next start.
     seed: Option<u64>,
     /// Settings of the next breaths; the first `sent` are on the device.
@@ -94,6 +97,7 @@ impl PortSource {
             identity,
             plant,
             plant_parameters: String::new(),
+            description: None,
             seed,
             plan: VecDeque::new(),
             sent: 0,
@@ -111,6 +115,18 @@ impl PortSource {
             #[cfg(unix)]
             board: None,
         })
+    }
+
+    /// Makes a board on the desk simulate this bench from its next start of ventilation on.
+    ///
+    /// # Errors
+    /// A device that simulates none, or cannot be reached.
+    pub fn simulate(&mut self, bench: &BenchConfig) -> Result<(), SourceError> {
+        let description = bench.to_bytes();
+        self.device.set_bench(&description)?;
+        (self.plant, self.plant_parameters) = (bench.name.clone(), bench.to_toml());
+        self.description = Some(description);
+        Ok(())
     }
 
     /// Keeps the virtual board that is the device.
@@ -146,6 +162,9 @@ impl PortSource {
     pub fn restart(&mut self) -> Result<(), SourceError> {
         self.halt()?;
         self.identity = self.device.restart()?;
+        if let Some(description) = &self.description {
+            self.device.set_bench(description)?;
+        }
         Ok(self.device.telemetry(true)?)
     }
 
