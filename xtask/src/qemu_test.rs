@@ -1,4 +1,4 @@
-//! `cargo xtask qemu-test`: runs every test of the real image in QEMU.
+//! `cargo xtask qemu-test`: runs every test of the real image in QEMU, and those of the C export with all compilers.
 
 use anyhow::{Context, Result};
 use serde::Deserialize;
@@ -32,7 +32,7 @@ pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     let folder = images.folder();
     // The same packages as for all other tests, so that their dependencies are not built again.
     let packages = ["--workspace", "--exclude", "firmware", "--features", "tests/board"];
-    cmd!(shell, "cargo test {packages...} --test emulator --test qemu -- {filters...}")
+    cmd!(shell, "cargo test {packages...} --test c_export --test emulator --test qemu -- {filters...}")
         .env(IMAGES, folder)
         .quiet()
         .run()?;

@@ -29,14 +29,20 @@ pub enum Kind {
     Capture,
     /// A weights image.
     Image,
+    /// A controller in C.
+    Code,
     /// A table.
     Table,
     /// Something else.
     Other,
 }
 
+/// Start of a controller in C, which tells it from the files of a user.
+pub const CODE_START: &str = "/* Learned controller ";
+
+
 impl Kind {
-    const ENDINGS: [(&str, Self); 10] = [
+    const ENDINGS: [(&str, Self); 12] = [
         ("parquet", Self::Recording),
         ("json", Self::Json),
         ("jsonl", Self::Json),
@@ -46,6 +52,8 @@ impl Kind {
         ("onnx", Self::Onnx),
         ("mcap", Self::Capture),
         ("bin", Self::Image),
+        ("c", Self::Code),
+        ("h", Self::Code),
         ("csv", Self::Table),
     ];
 
@@ -72,10 +80,11 @@ impl Kind {
 
     /// The kind by the first bytes.
     pub(crate) fn of_start(start: &[u8]) -> Self {
-        let magic: [(&[u8], Self); 4] = [
+        let magic: [(&[u8], Self); 5] = [
             (b"PAR1", Self::Recording),
             (b"\x89MCAP", Self::Capture),
             (&shared::weights::MAGIC, Self::Image),
+            (CODE_START.as_bytes(), Self::Code),
             // The first field of an ONNX model is its version, a small number.
             (b"\x08", Self::Onnx),
         ];
@@ -122,6 +131,7 @@ impl Kind {
             Self::Onnx => "an ONNX model",
             Self::Capture => "an MCAP file",
             Self::Image => "a weights image",
+            Self::Code => "a controller in C",
             Self::Table => "a table",
             Self::Other => "a file of another kind",
         }
@@ -155,6 +165,8 @@ mod tests {
             (b"\x08\x08\x12\x06eupnea", Kind::Onnx),
             (b"\x89MCAP0\r\n", Kind::Capture),
             (&shared::weights::MAGIC, Kind::Image),
+            (b"/* Learned controller 0a1b2c3d, written", Kind::Code),
+            (b"/* Learned by hand */\nint main;", Kind::Other),
             (b"\xef\xbb\xbft_s,p,u\n0,5,0\n", Kind::Table),
             (b"time;pressure\n0,1;5,0\n", Kind::Table),
             (b"Dear reader\n", Kind::Other),

@@ -1,6 +1,7 @@
 //! Learning: simulators from recordings, controllers through simulators, and the pipeline that does both in rounds.
 #![forbid(unsafe_code)]
 
+pub mod c_export;
 pub mod controller;
 mod graph;
 mod layers;

@@ -1,5 +1,6 @@
 //! `trainer export`: converts files of this project for other programs.
 
+mod code;
 mod network;
 mod recording;
 mod weights;
@@ -18,13 +19,14 @@ use data::kind::Kind;
 /// Arguments of `export`.
 #[derive(Debug, clap::Args)]
 #[command(
-    about = "Write weights images for devices, and ONNX, MCAP or PIRDS files",
+    about = "Write weights images for devices; C, ONNX, MCAP or PIRDS",
     after_help = "\
 Examples:
   trainer export adult --out weights.bin
   trainer export controller.safetensors --out weights.bin --key weights.key
   trainer export first.parquet --out first.mcap
   trainer export first.parquet --out first.json
+  trainer export adult --out adult.c
   trainer export adult --out adult.onnx
   trainer export controller.safetensors --out controller.onnx --check controller.json
   trainer export family.safetensors --unit 2 --out unit-2.onnx
@@ -32,6 +34,8 @@ Examples:
 The ending of --out chooses the format:
   .bin     controller as the weights image that `trainer flash` uploads: before it is written, it is
            read back, and its controller runs once as a check
+  .c       controller as C99 for any chip, with its header (.h): its functions begin with the name of
+           the file. It has few of a device's safeguards: docs/C_EXPORT.md
   .mcap    recording as MCAP, without loss, for Foxglove and PlotJuggler: the topics /pressure,
            /valves, /breath and /flow, and the origin
   .json    recording as a JSON array of PIRDS events, as VentDisplay loads it
@@ -50,7 +54,7 @@ pub struct Args {
     /// A recording; a controller (a shipped one, such as adult, or a file as written by `trainer train`); or a simulator's file
     #[arg(value_name = "FILE|NAME")]
     file: PathBuf,
-    /// File to write; its ending chooses the format: .bin, .onnx, .mcap, .json or .jsonl
+    /// File to write; its ending chooses the format: .bin, .c, .onnx, .mcap, .json or .jsonl
     #[arg(long, value_name = "PATH", value_parser = OutFile::named())]
     out: OutFile,
     /// The unit of a simulator of several, from 0 [default: the first unit; for a hybrid, a ventilator of no recorded one]
@@ -73,6 +77,7 @@ pub struct Args {
 #[serde(untagged)]
 pub enum Outcome {
     Weights(weights::Summary),
+    Code(code::Summary),
     Recording(recording::Exported),
     Network(network::Summary),
 }
@@ -81,14 +86,16 @@ pub enum Outcome {
 #[derive(Clone, Copy)]
 enum Format {
     Weights,
+    Code,
     Mcap,
     Pirds(Layout),
     Onnx,
 }
 
 /// The endings of files, with their formats.
-const FORMATS: [(&str, Format); 5] = [
+const FORMATS: [(&str, Format); 6] = [
     ("bin", Format::Weights),
+    ("c", Format::Code),
     ("mcap", Format::Mcap),
     ("json", Format::Pirds(Layout::Array)),
     ("jsonl", Format::Pirds(Layout::Lines)),
@@ -114,6 +121,7 @@ impl Command for Args {
         }
         match format {
             Format::Weights => weights::weights(self, context).map(Outcome::Weights),
+            Format::Code => code::code(self, context).map(Outcome::Code),
             Format::Mcap => recording::mcap(self, context).map(Outcome::Recording),
             Format::Pirds(layout) => recording::pirds(self, layout, context).map(Outcome::Recording),
             Format::Onnx => network::onnx(self, context).map(Outcome::Network),

@@ -92,6 +92,13 @@ impl OutFile {
         ensure!(there != Kind::Recording, "{shown} is an earlier recording: {way}");
         Ok(())
     }
+
+    /// The header of a controller in C, which is written beside it; none of another file.
+    pub fn header(&self) -> Option<Self> {
+        let Self { path, kind } = self;
+        let is_code = *kind == Kind::Code && path.extension().is_some_and(|ending| ending == "c");
+        is_code.then(|| Self { path: path.with_extension("h"), kind: *kind })
+    }
 }
 
 impl Deref for OutFile {
@@ -158,7 +165,9 @@ pub(super) fn check(program: &Command, matches: &ArgMatches) -> anyhow::Result<(
                 "--{other} and --{option} are both written to {shown}: choose another name for one of them"
             );
         }
-        output.check(matches.get_flag(FORCE))?;
+        for file in [Some(*output), output.header().as_ref()].into_iter().flatten() {
+            file.check(matches.get_flag(FORCE))?;
+        }
     }
     Ok(())
 }

@@ -40,6 +40,49 @@ fn a_simulator_is_exported_with_a_breath() {
 }
 
 #[test]
+fn a_controller_is_exported_as_c_with_its_header() {
+    let place = Place::new();
+    let summary = place.json("export adult --out adult.c");
+    let [code, header] =
+        ["adult.c", "adult.h"].map(|name| std::fs::read_to_string(place.path(name)).unwrap());
+    assert_eq!(summary["bytes"], code.len() + header.len());
+    assert!(code.contains("#include \"adult.h\"") && header.contains("int adult_self_check("));
+    assert!(code.contains(summary["id"].as_str().unwrap()), "the file names its weights");
+    // Written again, but over no file of a user, be it the header's.
+    place.ok("export neonate --out adult.c");
+    assert_ne!(std::fs::read_to_string(place.path("adult.c")).unwrap(), code);
+    for name in ["mine.c", "mine.h"] {
+        std::fs::write(place.path(name), "/* My own. */\n").unwrap();
+        let told = place.wrong("export adult --out mine.c");
+        assert!(told.contains(&format!("{name} is a file of another kind, not a controller in C")), "{told}");
+        std::fs::remove_file(place.path(name)).unwrap();
+    }
+    assert!(!place.path("mine.c").exists());
+}
+
+#[test]
+fn a_controller_that_the_c_file_does_not_know_is_refused_with_the_reason() {
+    let place = Place::new();
+    let told = place.refused("export adult --out my-controller.c");
+    assert!(told.contains("use letters, digits and underscores"), "{told}");
+    // As a later version would write it.
+    place.ok("export adult --out a.bin");
+    let mut image = std::fs::read(place.path("a.bin")).unwrap();
+    image[6] += 1;
+    let (covered, checksum) = image.split_last_chunk_mut::<4>().unwrap();
+    *checksum = shared::checksum::crc32(covered).to_le_bytes();
+    std::fs::write(place.path("later.bin"), &image).unwrap();
+    let told = place.refused("export later.bin --out a.c");
+    assert!(told.contains("image has architecture 4, this version runs 3"), "{told}");
+    place.ok(
+        "train --controller-architecture authors --rounds 1 --breaths 12 --epochs 3 --iterations 5 --out run",
+    );
+    let told = place.refused("export run/controller.safetensors --out a.c");
+    assert!(told.contains("architecture authors") && told.contains("only ours runs on a device"), "{told}");
+    assert!(!place.path("a.c").exists() && !place.path("a.h").exists());
+}
+
+#[test]
 fn what_cannot_be_exported_is_refused() {
     let place = Place::new();
     let (controller, data) = (place.controller(), place.collected());

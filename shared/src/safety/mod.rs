@@ -20,6 +20,7 @@
 //! | [`reference_volume`] | checks the volume of a breath against those before |
 //! | [`settling`] | how long monitors wait after a change of the settings |
 //! | [`host`] | detects a silent host |
+//! | [`slew`] | limits how fast the learned part of a command changes |
 //! | [`ladder`] | levels of trust: learned controller, PID, capped PID, backup ventilation |
 //! | [`backup`] | ventilation without a pressure reading |
 //! | [`expiration`] | holds PEEP against a leak, lengthens expirations, lets PIP follow a constant baseline |
@@ -48,6 +49,7 @@ pub mod reading_monitor;
 pub mod reference_volume;
 pub mod responses;
 pub mod settling;
+pub mod slew;
 pub mod source;
 pub mod standing;
 pub mod supervisor;

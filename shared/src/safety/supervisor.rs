@@ -4,7 +4,7 @@
 //! raises an alarm and has the response of its row in [`super::alarms::ALARMS`]: none, a step down the [`super::ladder`],
 //! another sensor or backup ventilation, and only where ventilating on would harm the latched safe state, which an operator
 //! ends ([`SupervisorState::clear`]). The learned part of a command is applied only in ticks with a fresh, plausible reading,
-//! and changes no faster than [`RESIDUAL_SLEW`].
+//! and changes no faster than [`RESIDUAL_SLEW`](super::slew::RESIDUAL_SLEW).
 //!
 //! A tick of a breath is [`Supervisor::check`], whose [`Belief`] contains all that the tick may use;
 //! [`Supervisor::command`], which takes it back with a controller's output; and [`Supervisor::end_tick`]. Outside a
@@ -33,20 +33,18 @@ use super::pressure_monitor::{Gas, PressureFinding, PressureInput, PressureMonit
 use super::reference_volume::ReferenceVolume;
 use super::responses::{Response, Responses};
 use super::settling::{Filling, Pressures};
+use super::slew::Slew;
 use super::source::{FAR_APART, Follows, PressureSource, Reading, SourceState};
 use super::standing::Standing;
 use super::volume_monitor::{VolumeMonitor, VolumeState};
 use super::volumes::Volumes;
 use crate::breath::{Breath, Moment, period_s};
 use crate::control::{COMMAND_MAX, ControlOutput};
-use crate::math;
 use crate::sensor::Readings;
 use crate::settings::{LIMIT_MARGIN, Settings};
 use core::cmp::Ordering;
 use state::{Cut, Start};
 
-/// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms.
-pub const RESIDUAL_SLEW: f32 = 25_000.0;
 /// Tick of a breath in which the last of the judgements about the breath before is made.
 pub const JUDGED: u32 = 6;
 /// Missed ticks within a breath that raise an alarm.
@@ -81,9 +79,9 @@ pub struct Supervisor {
     expiration: Expiration,
     volume: VolumeMonitor,
     flow: FlowMonitor,
-    /// Control period, s, and the largest change of the learned part in it, percent.
+    /// Control period, s.
     period: f32,
-    slew: f32,
+    slew: Slew,
     /// [`OPENED`] and [`EMPTIED`] in ticks.
     opened: u32,
     emptied: u32,
@@ -182,7 +180,7 @@ impl Supervisor {
             volume: VolumeMonitor::new(period_us),
             flow: FlowMonitor::new(period_us, monitors),
             period: period_s(period_us),
-            slew: RESIDUAL_SLEW * period_s(period_us),
+            slew: Slew::new(period_us),
             opened: ticks(OPENED, period_us),
             emptied: ticks(EMPTIED, period_us),
         }
@@ -574,17 +572,13 @@ impl Supervisor {
     /// The trusted part of the output, percent. The learned part fades in and out at the slew, so that no hand-over is a
     /// larger step; the cap takes effect at once.
     fn trusted_part(&self, state: &mut SupervisorState, belief: &Belief, output: ControlOutput) -> f32 {
-        let learned = if belief.proven { output.command - output.base } else { 0.0 };
-        let change = learned - state.learned;
-        if belief.proven && change.abs() <= self.slew {
-            state.learned = learned;
-            return output.command;
+        let (command, complete) = self.slew.step(&mut state.learned, output, belief.proven);
+        if complete {
+            return command;
         }
-        state.learned += math::limit(change, -self.slew, self.slew);
-        debug_assert!(state.learned.is_finite(), "it moves in steps, whatever a controller computes");
         let capped = belief.level == Level::CappedPid || state.breath.is_disconnected();
         let cap = if capped { state.ladder.cap() } else { COMMAND_MAX };
-        (output.base + state.learned).min(cap)
+        command.min(cap)
     }
 
     /// The safe command, for ticks without a breath.

@@ -17,7 +17,10 @@ use crate::control::{ControllerState, Observation};
 /// Length of the first breath, ticks: longer than the features' history, so that every tap reads values of the script.
 pub const TICKS: u32 = 160;
 /// Length of the second breath, ticks: long enough to recall from all over the first one.
-const SECOND_TICKS: u32 = 80;
+pub const SECOND_TICKS: u32 = 80;
+
+/// Command before the first tick of a breath, percent.
+pub const START: f32 = 5.0;
 
 /// Length of the target's rise, ticks.
 const RISE_TICKS: u32 = 64;
@@ -34,7 +37,7 @@ pub struct Golden {
 }
 
 /// Observation in a tick of the script.
-fn script(tick: u32) -> Observation {
+pub fn script(tick: u32) -> Observation {
     let error = 0.5 * (7 * tick % 16) as f32 - 2.0;
     let (pip, peep, rise_ticks) = (25.0, 8.0, RISE_TICKS);
     let target = rising(pip, peep, rise_ticks, tick);
@@ -48,7 +51,7 @@ pub fn golden(residual: &Residual) -> Golden {
     let mut all = CRC_32.digest();
     let mut last = 0;
     for ticks in [TICKS, SECOND_TICKS] {
-        state.start_breath(5.0);
+        state.start_breath(START);
         for tick in 0..ticks {
             let command = residual.step(&mut state, &script(tick)).command;
             residual.applied(&mut state, command);

@@ -14,7 +14,7 @@ use shared::link::refusal::AUDIO_PAUSE_MAX;
 use shared::recorder::keeper::Keeper;
 use shared::safety::ladder::{CAP, CLEAN_BREATHS, DOUBLINGS, HALVINGS};
 use shared::safety::plateau::{DOUBTFUL, TUBE};
-use shared::safety::supervisor::RESIDUAL_SLEW;
+use shared::safety::slew::RESIDUAL_SLEW;
 use shared::safety::{backup, expected, expiration, flow_monitor, lung_estimator, pressure_monitor};
 use shared::safety::{reference_volume, settling};
 use shared::settings::{LIMIT_MARGIN, Settings};

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::breath::{DEFAULT_PERIOD_US, Phase, paper_settings};
+use crate::math;
 use core::ops::Range;
 use proptest::prelude::*;
 use std::vec::Vec;
