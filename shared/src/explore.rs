@@ -4,6 +4,12 @@
 //! *Boundary* exploration adds a step at the start of the inspiration that fades out linearly; *triangular*
 //! exploration adds a ramp up and down somewhere within the inspiration. A breath's perturbation depends only on the
 //! parameters, the breath's number and its inspiratory time, so device and bench explore alike.
+//!
+//! | module | contains |
+//! |---|---|
+//! | [`sines`] | a sweep of sines in place of random perturbations, to measure the gain of the loop |
+
+pub mod sines;
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
@@ -12,6 +18,7 @@ use thiserror::Error;
 
 use crate::breath::{Breath, period_s};
 use crate::control::COMMAND_MAX;
+use sines::Sine;
 
 /// Lower and upper end of a uniform distribution.
 pub type Range = (f32, f32);
@@ -133,6 +140,30 @@ impl Perturbation {
             self.height * ((time - self.start) / (self.peak - self.start))
         } else {
             self.height * ((self.end - time) / (self.end - self.peak))
+        }
+    }
+}
+
+/// What is added to the commands of a breath.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Addition {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// A random perturbation.
+    Perturbation(Perturbation),
+    /// A sine, of which the control law is not told.
+    Sine(Sine),
+}
+
+impl Addition {
+    /// Command to add at `tick` of the breath, percent.
+    #[inline]
+    pub fn at(&self, tick: u32, period_us: u32) -> f32 {
+        match self {
+            Self::Nothing => 0.0,
+            Self::Perturbation(perturbation) => perturbation.at(tick, period_us),
+            Self::Sine(sine) => sine.at(tick),
         }
     }
 }

@@ -13,17 +13,19 @@
 //!
 //! # Order of a tick
 //! The supervisor checks the readings -> controller -> exploration -> safety filter -> the controller records the
-//! applied command. What the checks allow the tick is one [`Belief`], which the safety filter takes back. Any
-//! [`ControlLaw`] can be the controller; order and safety are the same for all. Down the ladder of trust a PID
-//! of the ventilator's own or backup ventilation commands in its place.
+//! applied command, without a sine that measures the loop. What the checks allow the tick is one [`Belief`], which
+//! the safety filter takes back. Any [`ControlLaw`] can be the controller; order and safety are the same for all.
+//! Down the ladder of trust a PID of the ventilator's own or backup ventilation commands in its place.
 
 use serde::{Deserialize, Serialize};
 
 use crate::breath::{Breath, Phase};
 use crate::control::memory::{self, Lesson};
 use crate::control::pid::{Pid, PidState};
-use crate::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
-use crate::explore::{Exploration, Perturbation};
+use crate::control::{COMMAND_MAX, ControlLaw, ControlOutput, Controller, ControllerState, Observation};
+use crate::explore::sines::SineSweep;
+use crate::explore::{Addition, Exploration};
+use crate::math;
 use crate::safety::alarms::Fault;
 use crate::safety::filter::ValveCommand;
 use crate::safety::indications::Indications;
@@ -115,6 +117,8 @@ pub struct Ventilator<C = Controller> {
     /// The PID to which the ladder falls.
     spare: Pid,
     exploration: Option<Exploration>,
+    /// In its breaths, in place of the exploration.
+    sweep: Option<SineSweep>,
     supervisor: Supervisor,
     trigger: Trigger,
 }
@@ -128,7 +132,7 @@ pub struct VentilatorState<S = ControllerState> {
     number: u32,
     tick: u32,
     last_command: f32,
-    perturbation: Perturbation,
+    addition: Addition,
     controller: S,
     spare: PidState,
     supervisor: SupervisorState,
@@ -148,6 +152,7 @@ impl<C: ControlLaw> Ventilator<C> {
             controller,
             spare: Pid::known_good(period_us),
             exploration: None,
+            sweep: None,
             supervisor,
             trigger: Trigger::new(period_us),
         }
@@ -175,6 +180,12 @@ impl<C: ControlLaw> Ventilator<C> {
     /// Sets the exploration from the next breath on; none ends it.
     pub fn set_exploration(&mut self, exploration: Option<Exploration>) {
         self.exploration = exploration;
+    }
+
+    /// Sets the sweep of sines from the next breath on; none ends it. It runs in the inspirations of the chosen
+    /// controller; an alarm ends that of the running breath, and none begins during one ([`VentilatorState::bars_sines`]).
+    pub fn set_sweep(&mut self, sweep: Option<SineSweep>) {
+        self.sweep = sweep;
     }
 
     /// The enabled monitors.
@@ -209,7 +220,7 @@ impl<C: ControlLaw> Ventilator<C> {
             number: 0,
             tick: 0,
             last_command: 0.0,
-            perturbation: Perturbation::default(),
+            addition: Addition::default(),
             controller: self.controller.initial_state(),
             spare: PidState::new(),
             supervisor: SupervisorState::default(),
@@ -309,7 +320,8 @@ impl<C: ControlLaw> Ventilator<C> {
         debug_assert!(command.u_out() == u_out, "the valves follow the phase");
         self.learn(state, belief, phase, explore);
         if phase == Phase::Inspiration {
-            self.controller.applied(&mut state.controller, command.u_in());
+            let told = told(&state.addition, &output, explore, command.u_in());
+            self.controller.applied(&mut state.controller, told);
         }
         state.last_command = command.u_in();
         let sample = Sample {
@@ -370,7 +382,10 @@ impl<C: ControlLaw> Ventilator<C> {
                 Command { output, explore: 0.0, learned: 0.0 }
             }
             Level::Learned => {
-                let explore = state.perturbation.at(tick, self.period_us);
+                if matches!(state.addition, Addition::Sine(_)) && state.bars_sines() {
+                    state.addition = Addition::Nothing;
+                }
+                let explore = state.addition.at(tick, self.period_us);
                 let output = self.controller.step(&mut state.controller, &seen);
                 Command { output: output.plus(explore), explore, learned: output.command - output.base }
             }
@@ -388,12 +403,31 @@ impl<C: ControlLaw> Ventilator<C> {
             state.lesson = self.controller.learn(&mut state.controller, Lesson::Forget);
         }
         state.disturbed = Some(state.supervisor.triggered());
-        state.perturbation = match &self.exploration {
-            Some(exploration) => exploration.perturbation(&state.breath, state.number),
-            None => Perturbation::default(),
-        };
+        state.addition = self.addition(state);
         state.spare = PidState::new();
         self.controller.start_breath(&mut state.controller, state.last_command);
+    }
+
+    /// What is added to the commands of the breath that starts.
+    fn addition(&self, state: &VentilatorState<C::State>) -> Addition {
+        match (&self.sweep, &self.exploration) {
+            (Some(sweep), _) => {
+                sweep.sine(state.number, self.period_us).map_or(Addition::Nothing, Addition::Sine)
+            }
+            (None, Some(exploration)) => {
+                Addition::Perturbation(exploration.perturbation(&state.breath, state.number))
+            }
+            (None, None) => Addition::Nothing,
+        }
+    }
+}
+
+/// The command of a tick as the control law is told it, percent: the applied one, but without a sine. So the sine breaks the loop at
+/// the valve, and what a law makes of its own commands is part of the law.
+fn told(addition: &Addition, output: &ControlOutput, explore: f32, applied: f32) -> f32 {
+    match addition {
+        Addition::Sine(_) if explore != 0.0 => math::limit(output.command - explore, 0.0, COMMAND_MAX),
+        _ => applied,
     }
 }
 
@@ -477,6 +511,14 @@ impl<S> VentilatorState<S> {
             return true;
         }
         self.supervisor.acknowledge()
+    }
+
+    /// Whether an alarm is present during which no sine is added to the command: any but that of a leak, under which the pressure
+    /// only falls short. It is a property of many test lungs, and of the loop that is measured.
+    pub fn bars_sines(&self) -> bool {
+        let mut present = self.supervisor.indications().present();
+        present.remove(Fault::Leak);
+        !present.is_empty()
     }
 
     /// The alarms.

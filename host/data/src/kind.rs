@@ -40,7 +40,6 @@ pub enum Kind {
 /// Start of a controller in C, which tells it from the files of a user.
 pub const CODE_START: &str = "/* Learned controller ";
 
-
 impl Kind {
     const ENDINGS: [(&str, Self); 12] = [
         ("parquet", Self::Recording),

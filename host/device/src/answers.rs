@@ -49,6 +49,7 @@ fn belongs(request: &Request, response: &Response) -> bool {
         Request::Start | Request::Stop | Request::Acknowledge => matches!(response, Response::Mode(_)),
         Request::SetController(_) => matches!(response, Response::Controller(_)),
         Request::SetExploration(_) => matches!(response, Response::Exploration(_)),
+        Request::SetSweep(_) => matches!(response, Response::Sweep(_)),
         Request::Telemetry { .. } => matches!(response, Response::Telemetry { .. }),
         Request::BeginWeights { .. } | Request::WeightsChunk { .. } => {
             matches!(response, Response::Progress { .. })

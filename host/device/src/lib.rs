@@ -26,6 +26,7 @@ use shared::calibration::Calibration;
 use shared::device::annunciator::AudioStatus;
 use shared::device::self_test::{Check, Outcome, Report};
 use shared::explore::Exploration;
+use shared::explore::sines::SineSweep;
 use shared::link::PROTOCOL;
 use shared::link::messages::{
     AlarmStatus, ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response, ToDevice,
@@ -460,6 +461,11 @@ impl Device {
         self.expect(&Request::SetExploration(exploration), |answer| {
             matches!(answer, Response::Exploration(_))
         })
+    }
+
+    /// Sets the sweep of sines from the next breath on.
+    pub fn sweep(&mut self, sweep: Option<SineSweep>) -> Result<(), DeviceError> {
+        self.expect(&Request::SetSweep(sweep), |answer| matches!(answer, Response::Sweep(_)))
     }
 
     /// Switches telemetry on or off.

@@ -18,7 +18,12 @@ type Typed = (usize, f32);
 
 impl SettingsArgs {
     fn settings(&self) -> Settings {
-        let mut values = Settings::default().values();
+        self.over(&Settings::default())
+    }
+
+    /// Other defaults with the settings that were given.
+    pub fn over(&self, base: &Settings) -> Settings {
+        let mut values = base.values();
         self.settings.iter().for_each(|(field, value)| values[*field] = *value);
         Settings::from_values(values)
     }

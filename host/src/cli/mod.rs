@@ -19,6 +19,7 @@ mod import;
 mod inspect;
 mod judge;
 mod keys;
+mod margins;
 mod monitor;
 #[cfg(unix)]
 mod qemu;
@@ -78,6 +79,7 @@ commands! {
         "Judge" {
             Evaluate(evaluate::Args<ControllerArgs>),
             Judge(judge::Args),
+            Margins(margins::Args),
         }
         "Data" {
             Import(import::Args),

@@ -16,6 +16,8 @@ mod help;
 mod interrupted;
 mod judge;
 mod keys;
+#[cfg(unix)]
+mod margins;
 mod outputs;
 mod pages;
 mod pipeline;

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use shared::control::{ControlLaw, Controller};
 use shared::explore::Exploration;
+use shared::explore::sines::SineSweep;
 use shared::safety::alarms::Fault;
 use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;
@@ -268,6 +269,12 @@ where
     fn configure(&mut self, controller: C, exploration: Option<Exploration>) -> Result<(), SourceError> {
         self.ventilator.set_controller(controller);
         self.ventilator.set_exploration(exploration);
+        Ok(())
+    }
+
+    fn sweep(&mut self, sweep: Option<SineSweep>) -> Result<(), SourceError> {
+        sweep.as_ref().map_or(Ok(()), SineSweep::validate)?;
+        self.ventilator.set_sweep(sweep);
         Ok(())
     }
 

@@ -20,6 +20,7 @@ pub use port::PortSource;
 
 use shared::control::Controller;
 use shared::explore::Exploration;
+use shared::explore::sines::{SineSweep, SweepError};
 use shared::safety::alarms::Fault;
 use shared::settings::{Settings, SettingsError};
 use shared::ventilator::Sample;
@@ -61,6 +62,9 @@ pub enum SourceError {
     /// Settings were refused.
     #[error(transparent)]
     Settings(#[from] SettingsError),
+    /// A sweep of sines was refused.
+    #[error(transparent)]
+    Sweep(#[from] SweepError),
     /// The bench cannot be built or run.
     #[error(transparent)]
     Bench(#[from] BenchError),
@@ -140,6 +144,12 @@ pub trait Source<C = Controller> {
     /// # Errors
     /// A source that cannot be reached or cannot run the controller.
     fn configure(&mut self, controller: C, exploration: Option<Exploration>) -> Result<(), SourceError>;
+
+    /// Adds a sweep of sines to the commands from the next breath on, in place of the exploration; none ends it.
+    ///
+    /// # Errors
+    /// A source that cannot be reached or refuses the sweep.
+    fn sweep(&mut self, sweep: Option<SineSweep>) -> Result<(), SourceError>;
 
     /// Announces the settings of the next breaths. A source with its own clock must know them before the current breath
     /// ends.

@@ -15,6 +15,7 @@ use shared::calibration::Calibration;
 use shared::control::Controller;
 use shared::control::pid::PidGains;
 use shared::explore::Exploration;
+use shared::explore::sines::SineSweep;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response};
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::PackedSample;
@@ -377,6 +378,10 @@ impl Source for PortSource {
         let choice = self.install(&controller)?;
         self.choose(choice)?;
         self.explore(exploration)
+    }
+
+    fn sweep(&mut self, sweep: Option<SineSweep>) -> Result<(), SourceError> {
+        Ok(self.device.sweep(sweep)?)
     }
 
     fn upcoming(&mut self, settings: &[Settings]) -> Result<(), SourceError> {

@@ -20,7 +20,7 @@ pub mod identify;
 mod limits;
 mod lung_report;
 mod ramp;
-mod response;
+pub mod response;
 mod series;
 mod settled;
 mod sore_spots;

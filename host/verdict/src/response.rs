@@ -26,14 +26,16 @@ const RESPONDS_NOISE: f64 = 5.0;
 
 /// Commands of the inspiratory valve, percent, and pressures, cmH2O, of one inspiration, tick by tick.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Inspiration {
+pub struct Inspiration {
+    /// Commands, percent.
     pub command: Vec<f64>,
+    /// Pressures, cmH2O.
     pub pressure: Vec<f64>,
 }
 
 /// How the pressure responds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Response {
+pub struct Response {
     /// Play of the valve, percent of the full command.
     pub play_percent: f64,
     /// Residual (rms) with this play as a share of that without any.

@@ -12,8 +12,8 @@ use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 use shared::breath::period_s;
 
-use super::response::ResponsePoint;
 use super::{OSCILLATES_CMH2O, PlantMargins};
+use tuning::response::ResponsePoint;
 
 /// A learning rule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

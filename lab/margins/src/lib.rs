@@ -2,20 +2,20 @@
 //!
 //! A bench is held at an operating point ([`operating_point`]) under the real control law. An [`injection`] adds a sine to its
 //! command, and [`response`] correlates the commands just before and just after the sine with it: their ratio is the loop gain,
-//! whatever the law does. [`stability`] reads the margins from it. [`residual_gain`] bounds what the residual of a learned controller
+//! whatever the law does. [`tuning::stability`] reads the margins from it. [`residual_gain`] bounds what the residual of a learned controller
 //! can do to its PID's loop, [`iteration`] certifies learning from breath to breath.
 //!
 //! The valve's backlash makes the loop gain depend on the amplitude: a sine smaller than the backlash moves nothing, a large one
 //! does not notice it. Every loop is therefore measured with two amplitudes.
 #![forbid(unsafe_code)]
 
+pub mod connected;
 pub mod injection;
 pub mod iteration;
 mod measured_point;
 pub mod operating_point;
 pub mod residual_gain;
 pub mod response;
-pub mod stability;
 #[cfg(test)]
 mod tests;
 
@@ -32,7 +32,7 @@ use plant::bench::{BenchConfig, BenchError};
 use progress::{Progress, Stage, Task};
 use residual_gain::ResidualGain;
 use response::{Loop, Sweep};
-use stability::{Margins, RequiredMargins};
+use tuning::stability::{Margins, RequiredMargins};
 
 /// Measuring stability margins: operating points.
 pub const MARGINS: Stage = Stage("measure loops");

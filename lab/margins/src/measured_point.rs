@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::operating_point::OperatingPoint;
-use crate::response::ResponsePoint;
-use crate::stability::Margins;
+use tuning::response::ResponsePoint;
+use tuning::stability::Margins;
 
 /// A loop measured at one operating point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

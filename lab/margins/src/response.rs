@@ -12,6 +12,7 @@ use shared::control::{COMMAND_MAX, ControlLaw, Observation};
 use shared::math;
 
 use super::injection::{InjectionState, Sine, SineInjection};
+use tuning::response::ResponsePoint;
 
 /// A plant that is held at an operating point.
 pub trait Process: Clone {
@@ -63,25 +64,6 @@ impl Sweep {
         let periods = ((self.window_s * wanted_hz).ceil() as u32).max(self.periods);
         let ticks = (f64::from(periods) / (wanted_hz * period_s)).round() as u32;
         Sine { amplitude: self.amplitude, ticks, periods }
-    }
-}
-
-/// Response at one frequency.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ResponsePoint {
-    /// Frequency, Hz.
-    pub hz: f64,
-    /// Loop gain L.
-    #[serde(rename = "loop")]
-    pub loop_gain: Complex64,
-    /// From an addition to the command to the measured pressure in closed loop, P S, cmH2O per percent.
-    pub path: Complex64,
-}
-
-impl ResponsePoint {
-    /// Sensitivity S = 1 / (1 + L).
-    pub fn sensitivity(&self) -> Complex64 {
-        Complex64::ONE / (Complex64::ONE + self.loop_gain)
     }
 }
 

@@ -13,7 +13,10 @@ use shared::control::residual::{Residual, ResidualSpec};
 
 use super::response::Process;
 use super::*;
-use crate::response::ResponsePoint;
+use crate::connected::{Agreement, Pair};
+use tuning::interval::{Finding, Sure};
+use tuning::measure::Plan;
+use tuning::response::ResponsePoint;
 
 const PERIOD_S: f64 = 1e-3;
 
@@ -83,6 +86,7 @@ fn by_formula(plant: &LagPlant, pid: &Pid) -> Margins {
         delay_margin_ms: Some(1e3 * margin / (TAU * crossover)),
         disk_margin: 1.0 / disk,
         crossover_hz: Some(crossover),
+        opposite_hz: Some(opposite),
     }
 }
 
@@ -96,6 +100,7 @@ fn within_2_percent(found: &Margins, exact: &Margins) {
         ("delay", both(|m| m.delay_margin_ms.unwrap())),
         ("disk", both(|m| m.disk_margin)),
         ("crossover", both(|m| m.crossover_hz.unwrap())),
+        ("opposite", both(|m| m.opposite_hz.unwrap())),
     ] {
         assert!((found / exact - 1.0).abs() < 0.02, "{name}: {found}, not {exact}");
     }
@@ -291,4 +296,36 @@ fn a_stopped_measurement_gives_the_plants_that_are_done() {
     let law = Controller::Pid(pid(3.0, 30.0, 0.0));
     let none = measure(&[BenchConfig::default()], &law, None, &question(), &Progress::quiet(&stop)).unwrap();
     assert!(none.is_empty());
+}
+
+/// The whole comparison is `lab margins-in-breaths`.
+#[test]
+fn margins_measured_in_breaths_are_the_exact_ones_or_not_stated() {
+    let family = plant::bench::family::Family::find("adult").unwrap();
+    let plants = [BenchConfig::paper(20.0, 20.0), BenchConfig::paper(5.0, 20.0), family.draw(1, 1)];
+    let law = Controller::Pid(pid(4.0, 120.0, 0.1));
+    let compared =
+        connected::compare(&plants, &law, DEFAULT_PERIOD_US, &Plan::default(), &Progress::silent()).unwrap();
+    assert_eq!(compared.len(), 3);
+    let mut stated = 0;
+    for one in &compared {
+        for (name, pair) in one.pairs() {
+            assert_ne!(pair.agreement(), Agreement::Differs, "{}, {name}: {pair:?}", one.plant);
+            stated += usize::from(pair.found.sure().is_some());
+        }
+    }
+    assert!(stated >= 6, "{stated} of 9");
+}
+
+#[test]
+fn a_measured_margin_agrees_within_a_tenth_or_where_both_lie_outside() {
+    let found = |value| Finding::Found(Sure { value, low: value, high: Some(value) });
+    let pair = |found, exact, outside| Pair { found, exact, outside }.agreement();
+    assert_eq!(pair(found(2.19), Some(2.0), false), Agreement::Agrees);
+    assert_eq!(pair(found(2.21), Some(2.0), false), Agreement::Differs);
+    assert_eq!(pair(found(f64::NAN), Some(2.0), false), Agreement::Differs);
+    assert_eq!(pair(found(2.0), None, true), Agreement::Differs);
+    assert_eq!(pair(Finding::OutsideFrequencies, Some(200.0), true), Agreement::Agrees);
+    assert_eq!(pair(Finding::OutsideFrequencies, Some(20.0), false), Agreement::Differs);
+    assert_eq!(pair(Finding::NotEnoughCoherence(None), Some(2.0), false), Agreement::NotEnoughCoherence);
 }

@@ -17,18 +17,17 @@ use host::command::{Command, Context, Makes, OutFile, Output, OutputArgs, write}
 use margins::iteration::{Certificate, Certified, LearningFilter, Spread};
 use margins::operating_point::OperatingPoint;
 use margins::response::Sweep;
-use margins::stability::{Margins, RequiredMargins};
 use margins::{MeasuredPoint, Overall, PlantMargins, Question, measure};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use plant::prescriptions::{NAMES, Prescriptions};
 use show::report::{Cell, Plot, Role, Series, Style, Table};
 use trials::accuracy::{Declared, Setup, declared};
+use tuning::figures;
+use tuning::stability::{Margins, RequiredMargins};
 
 /// Curves that a figure shows at most: those of the plants with the worst margins.
 const CURVES: usize = 6;
-/// Points of a circle in a figure.
-const CIRCLE: usize = 180;
 
 /// Measure the stability margins of a controller by sine injection
 #[derive(Debug, clap::Args)]
@@ -388,36 +387,12 @@ fn worst_plants(plants: &[PlantMargins]) -> Vec<(&str, &MeasuredPoint)> {
     worst
 }
 
-/// Nyquist plot of the worst loops, with the unit circle and that of Ms 2 around -1.
+/// Nyquist plot of the worst loops.
 fn nyquist(plants: &[PlantMargins]) -> Plot {
-    let circle = |name: &str, centre: f64, radius: f64| {
-        let at = |place: usize| {
-            let angle = std::f64::consts::TAU * place as f64 / CIRCLE as f64;
-            (centre + radius * angle.cos(), radius * angle.sin())
-        };
-        Series::new(name, Style::Dashed, (0..=CIRCLE).map(at).collect())
+    let named = |(plant, measured): (&str, &MeasuredPoint)| {
+        (format!("{plant}, PIP {}", plateau(&measured.point)), measured.response.clone())
     };
-    let mut series = vec![
-        circle("abs(L) = 1", 0.0, 1.0),
-        Series {
-            role: Some(Role::Limit),
-            ..circle(
-                &format!("Ms = {}", RequiredMargins::default().ms),
-                -1.0,
-                1.0 / RequiredMargins::default().ms,
-            )
-        },
-    ];
-    for (plant, measured) in worst_plants(plants) {
-        let points = measured.response.iter().map(|at| (at.loop_gain.re, at.loop_gain.im)).collect();
-        series.push(Series::new(format!("{plant}, PIP {}", plateau(&measured.point)), Style::Line, points));
-    }
-    Plot {
-        x_range: Some((-2.5, 1.5)),
-        y_range: Some((-2.5, 1.5)),
-        size: Some((640, 700)),
-        ..Plot::new("Loop gain", "real part", "imaginary part", series)
-    }
+    figures::nyquist(&worst_plants(plants).into_iter().map(named).collect::<Vec<_>>())
 }
 
 /// Factor of iterative learning over frequency: that of every plant and, of several, how it spreads.

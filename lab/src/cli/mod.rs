@@ -8,6 +8,7 @@ mod endure;
 mod evaluate;
 mod faults;
 mod margins;
+mod margins_in_breaths;
 pub mod program;
 mod reproduce;
 mod robust;
@@ -59,6 +60,7 @@ commands! {
         "Stress" {
             Robust(robust::Args),
             Margins(margins::Args),
+            MarginsInBreaths(margins_in_breaths::Args),
             Faults(faults::Args),
             Torture(torture::Args),
             Endure(endure::Args),

@@ -69,3 +69,14 @@ fn plants_are_measured_at_the_plateau_of_a_prescription_each() {
         .collect();
     assert!(peeps[0].to_bits() != peeps[1].to_bits(), "{peeps:?}");
 }
+
+#[test]
+fn margins_measured_in_breaths_stand_beside_the_exact_ones() {
+    let place = Place::new();
+    let result = place.json("margins-in-breaths --bench R20C20 --gains 4,120,0.1");
+    let (plant, found) = (&result["plants"][0], &result["plants"][0]["gain_margin"]["found"]["found"]);
+    let exact = plant["gain_margin"]["exact"].as_f64().unwrap();
+    assert!((found["value"].as_f64().unwrap() / exact - 1.0).abs() < 0.1, "{plant}");
+    let text = place.ok("margins-in-breaths --bench R20C20 --gains 4,120,0.1");
+    assert!(text.contains("gain margin: 1 of 1 agree"), "{text}");
+}

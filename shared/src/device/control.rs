@@ -2,7 +2,7 @@
 //!
 //! A tick is [`Control::plant_change`] (for a plant in place of sensor and valves) -> reading -> [`Control::step`] ->
 //! valves -> [`Control::report`] -> at most one [`Control::execute`] -> flight recorder ([`Control::moment`]) ->
-//! [`Control::record`]. Requests about settings, controller and exploration are validated on arrival, and refused with a
+//! [`Control::record`]. Requests about settings, controller, exploration and sweep are validated on arrival, and refused with a
 //! reason if invalid. They take effect at the breath boundary, so that no breath changes while it runs.
 
 use heapless::Deque;
@@ -17,6 +17,7 @@ use crate::control::Controller;
 use crate::control::pid::Pid;
 use crate::control::residual::Residual;
 use crate::explore::Exploration;
+use crate::explore::sines::SineSweep;
 use crate::link::messages::{AlarmStatus, ControllerChoice, DeviceKind, Response};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{BreathMeter, Counters, Findings};
@@ -109,6 +110,7 @@ impl Control {
                 resumes: false,
                 controller,
                 exploration: None,
+                sweep: None,
             },
             next_controller: None,
             queue: Deque::new(),
@@ -246,6 +248,9 @@ impl Control {
                 "only the self-test lets gas in without a breath"
             );
         }
+        if output.alarm.is_some() && self.state.bars_sines() {
+            self.status.sweep = None;
+        }
         self.annunciator.step(self.state.indications());
         output
     }
@@ -262,12 +267,12 @@ impl Control {
         self.annunciator.signals()
     }
 
-    /// Handles a silent host: raises the alarm and ends exploration, which nobody supervises any more.
+    /// Handles a silent host: raises the alarm and ends exploration and sweep, which nobody supervises any more.
     #[cold]
     fn go_on_alone(&mut self) {
         self.raise(Fault::HostSilent);
         if self.ventilator.monitors().has(Fault::HostSilent) {
-            self.status.exploration = None;
+            (self.status.exploration, self.status.sweep) = (None, None);
         }
     }
 
@@ -282,6 +287,8 @@ impl Control {
             self.state.set_pending(breath);
         }
         self.ventilator.set_exploration(self.status.exploration);
+        self.status.sweep = self.status.sweep.filter(|sweep| !sweep.has_ended(self.state.breath_number()));
+        self.ventilator.set_sweep(self.status.sweep);
     }
 
     /// Whether the next step runs a tick of an inspiration.
@@ -386,7 +393,7 @@ impl Control {
     pub fn execute_for(&mut self, request: &ControlRequest, role: HostRole) -> ControlReply {
         let supervises = match role {
             HostRole::Steers => true,
-            HostRole::Attends => self.status.exploration.is_none(),
+            HostRole::Attends => self.status.exploration.is_none() && self.status.sweep.is_none(),
             HostRole::Reads => false,
         };
         if supervises {
@@ -408,6 +415,7 @@ impl Control {
             ControlRequest::Acknowledge => self.acknowledge(),
             ControlRequest::Controller(choice) => self.choose(choice),
             ControlRequest::Exploration(exploration) => self.explore(exploration),
+            ControlRequest::Sweep(sweep) => self.sweep(sweep),
             ControlRequest::Timing { clear } => Ok(self.timing(clear)),
             ControlRequest::ResetPlant(seed) => self.reset_plant(seed),
             ControlRequest::Alarms => Ok(Response::Alarms(self.alarms())),
@@ -484,6 +492,8 @@ impl Control {
         self.self_test.abort();
         self.queue.clear();
         self.confirmed = false;
+        // It counts the breaths of this ventilation.
+        self.status.sweep = None;
         Response::Mode(self.state.mode())
     }
 
@@ -523,8 +533,19 @@ impl Control {
         if let Some(exploration) = &exploration {
             exploration.validate().map_err(|_| Refusal::Exploration)?;
         }
-        self.status.exploration = exploration;
+        (self.status.exploration, self.status.sweep) = (exploration, None);
         Ok(Response::Exploration(exploration))
+    }
+
+    fn sweep(&mut self, sweep: Option<SineSweep>) -> Result<Response, Refusal> {
+        if let Some(sweep) = &sweep {
+            sweep.validate()?;
+            if self.state.bars_sines() {
+                return Err(Refusal::AlarmPresent);
+            }
+        }
+        (self.status.exploration, self.status.sweep) = (None, sweep);
+        Ok(Response::Sweep(sweep))
     }
 
     fn timing(&mut self, clear: bool) -> Response {

@@ -31,6 +31,7 @@ mod tests;
 use crate::calibration::SensorCorrection;
 pub use crate::control::pid::KNOWN_GOOD;
 use crate::explore::Exploration;
+use crate::explore::sines::SineSweep;
 use crate::link::messages::{ControllerChoice, Response};
 use crate::link::telemetry::{BreathSummary, Counters};
 use crate::recorder::keeper::Leave;
@@ -78,6 +79,8 @@ pub enum ControlRequest {
     SelfTest(Option<Check>),
     /// Correct the airway sensor's readings from the next start of ventilation on. Answered by [`ControlReply::Status`].
     Calibrate(SensorCorrection),
+    /// Add this sweep of sines from the next breath on.
+    Sweep(Option<SineSweep>),
 }
 
 /// What the host that sends a request is to the running ventilation, for the watch that finds it silent.
@@ -113,6 +116,8 @@ pub struct Status {
     pub controller: ControllerChoice,
     /// The exploration in force, at the latest from the next breath on.
     pub exploration: Option<Exploration>,
+    /// The same of a sweep of sines, which takes the exploration's place.
+    pub sweep: Option<SineSweep>,
 }
 
 impl Status {

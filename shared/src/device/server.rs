@@ -148,7 +148,7 @@ pub struct Server<'a> {
     counters: Counters,
     upload: Upload,
     lease: Lease,
-    /// Token of the host that has started the exploration.
+    /// Token of the host that has started the exploration or the sweep.
     explorer: Option<u32>,
     sequence: u16,
     continuation: Continuation,
@@ -239,6 +239,7 @@ impl<'a> Server<'a> {
             Request::RunSelfTest(check) => (Continuation::Forward, ControlRequest::SelfTest(Some(*check))),
             Request::SetController(choice) => (Continuation::Forward, ControlRequest::Controller(*choice)),
             Request::SetExploration(choice) => (Continuation::Forward, ControlRequest::Exploration(*choice)),
+            Request::SetSweep(sweep) => (Continuation::Forward, ControlRequest::Sweep(*sweep)),
             Request::GetTiming { clear } => (Continuation::Forward, ControlRequest::Timing { clear: *clear }),
             Request::ResetPlant { seed } => (Continuation::Forward, ControlRequest::ResetPlant(*seed)),
             Request::BeginWeights { length, id } => {
@@ -304,8 +305,13 @@ impl<'a> Server<'a> {
     pub fn control_replied(&mut self, reply: ControlReply, store: &mut impl Store) -> NextStep {
         let status = match reply {
             ControlReply::Response(response) => {
-                if let Response::Exploration(exploration) = &response {
-                    self.explorer = self.host.filter(|_| exploration.is_some());
+                let explores = match &response {
+                    Response::Exploration(exploration) => Some(exploration.is_some()),
+                    Response::Sweep(sweep) => Some(sweep.is_some()),
+                    _ => None,
+                };
+                if let Some(explores) = explores {
+                    self.explorer = self.host.filter(|_| explores);
                 }
                 return self.send(Ok(response));
             }

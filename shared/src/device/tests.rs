@@ -6,6 +6,7 @@ mod self_test;
 mod silence;
 mod store;
 mod summaries;
+mod sweep;
 mod trust;
 
 use std::boxed::Box;

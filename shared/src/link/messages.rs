@@ -19,6 +19,7 @@ use super::telemetry::{BreathSummary, TelemetryBatch};
 use crate::calibration::Calibration;
 use crate::control::pid::PidGains;
 use crate::explore::Exploration;
+use crate::explore::sines::SineSweep;
 use crate::recorder::{Page, RecorderPart, RecorderStatus};
 use crate::reset::ResetCause;
 use crate::safety::alarms::{Fault, Priority};
@@ -150,6 +151,8 @@ pub enum Request {
     /// Simulates the bench whose description was uploaded; its id is the CRC-32 of the bytes. Answered by [`Response::Done`]. Only on
     /// a [`DeviceKind::Desk`], in standby.
     CommitBench,
+    /// Sets the sweep of sines from the next breath on, in place of the exploration; answered by [`Response::Sweep`].
+    SetSweep(Option<SineSweep>),
 }
 
 impl Request {
@@ -263,6 +266,8 @@ pub enum Response {
         /// The calibration; none if there are fewer.
         calibration: Option<Calibration>,
     },
+    /// The sweep of sines, in force from the next breath on; an alarm ends it.
+    Sweep(Option<SineSweep>),
 }
 
 /// Who steers a device.

@@ -6,6 +6,7 @@ use thiserror::Error;
 use super::host_name::HostName;
 use super::self_test::{Finding, Step};
 use crate::calibration::CalibrationError;
+use crate::explore::sines::SweepError;
 use crate::settings::SettingsError;
 use crate::timing::LEASE_S;
 use crate::weights::{IMAGE_BYTES, ImageProblem};
@@ -151,6 +152,12 @@ pub enum Refusal {
         "the device cannot simulate this bench: it has room for 4 faults, of which one delays a reading, by at most 250 ms, and 16 changes of the leak; if it has no more, update the older side"
     )]
     BadBench,
+    /// A value of a sweep of sines is out of bounds.
+    #[error("sweep refused: {0}")]
+    Sweep(#[from] SweepError),
+    /// An alarm is present, during which no sine is added to the command.
+    #[error("an alarm is present: find its cause, and measure the loop once the alarm has ended")]
+    AlarmPresent,
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use std::vec::Vec;
 
 mod lessons;
 mod samples;
+mod sines;
 
 const GAINS: PidGains = PidGains { p: 2.0, i: 20.0, d: 0.0 };
 

@@ -9,6 +9,7 @@ use crate::breath::Phase;
 use crate::calibration::tests::SOUND;
 use crate::calibration::{CalibrationError, Quantity};
 use crate::control::memory::Lesson;
+use crate::explore::sines::{SweepError, SweepQuantity};
 use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
 use crate::link::self_test::{Finding, Outcome, REPORT_STEPS, Step, StepResult};
 use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
@@ -100,6 +101,16 @@ fn through<M: Serialize>(message: &M) -> StdVec<u8> {
     content.unwrap()
 }
 
+const SWEEP: SineSweep = SineSweep {
+    amplitude: 10.0,
+    lowest_hz: 2.0,
+    ratio: 1.5,
+    frequencies: 20,
+    phases: 6,
+    first_breath: 300,
+    from_s: 0.5,
+};
+
 /// Every request and, after the sequence number 300, its bytes.
 fn requests() -> StdVec<(Request, &'static str)> {
     vec![
@@ -158,6 +169,8 @@ fn requests() -> StdVec<(Request, &'static str)> {
         ),
         (Request::GetCalibration { back: 300 }, "ac021cac02"),
         (Request::CommitBench, "ac021d"),
+        (Request::SetSweep(None), "ac021e00"),
+        (Request::SetSweep(Some(SWEEP)), "ac021e0100002041000000400000c03f1406ac020000003f"),
     ]
 }
 
@@ -236,6 +249,8 @@ fn responses() -> StdVec<(Response, &'static str)> {
             "000512ac02010000003f6666863f000040410000c8410000803e0000403f0000a03f0000e03f80a4a7da06",
         ),
         (Response::Calibration { stored: 0, calibration: None }, "0005120000"),
+        (Response::Sweep(Some(SWEEP)), "0005130100002041000000400000c03f1406ac020000003f"),
+        (Response::Sweep(None), "00051300"),
     ]
 }
 
@@ -314,6 +329,10 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::Calibration(CalibrationError::FlowFalls { from: 2.0, to: 1.0 }), "091c01000000400000803f"),
         (Refusal::CalibrationStorage, "091d"),
         (Refusal::NoCalibrations, "091e"),
+        (Refusal::NoBench, "091f"),
+        (Refusal::BadBench, "0920"),
+        (Refusal::Sweep(SweepError { quantity: SweepQuantity::From, value: 1.0 }), "0921060000803f"),
+        (Refusal::AlarmPresent, "0922"),
     ];
     for (refusal, expected) in refusals {
         let response = Response::Refused(refusal);

@@ -15,6 +15,16 @@ fn exploration() -> impl Strategy<Value = Option<Exploration>> {
     prop::option::of(drawn)
 }
 
+fn sweep() -> impl Strategy<Value = Option<SineSweep>> {
+    let drawn = (0.0f32..20.0, any::<u8>(), any::<u32>());
+    prop::option::of(drawn.prop_map(|(amplitude, phases, first_breath)| SineSweep {
+        amplitude,
+        phases,
+        first_breath,
+        ..SWEEP
+    }))
+}
+
 fn controller() -> impl Strategy<Value = ControllerChoice> {
     let pid = |(p, i, d)| ControllerChoice::Pid(PidGains { p, i, d });
     let gains = (0.0f32..100.0, 0.0f32..1000.0, 0.0f32..10.0);
@@ -62,6 +72,7 @@ fn request() -> impl Strategy<Value = Request> {
         calibration().prop_map(Request::StoreCalibration),
         any::<u16>().prop_map(|back| Request::GetCalibration { back }),
         Just(Request::CommitBench),
+        sweep().prop_map(Request::SetSweep),
     ]
 }
 
@@ -163,6 +174,7 @@ fn response() -> impl Strategy<Value = Response> {
         }),
         (any::<u16>(), prop::option::of(calibration()))
             .prop_map(|(stored, calibration)| Response::Calibration { stored, calibration }),
+        sweep().prop_map(Response::Sweep),
     ]
 }
 

@@ -28,6 +28,8 @@ pub struct Margins {
     pub disk_margin: f64,
     /// Highest frequency at which abs(L) is one, Hz.
     pub crossover_hz: Option<f64>,
+    /// Frequency of the gain margin, where L is real and negative, Hz.
+    pub opposite_hz: Option<f64>,
 }
 
 impl Margins {
@@ -39,16 +41,19 @@ impl Margins {
         let curve = Curve::new(response);
         let unity: Vec<Crossing> = curve.crossings(|point| point.log_size, 0.0);
         let angles: Vec<f64> = unity.iter().map(|at| at.angle + PI).collect();
-        let opposite = curve.opposite().into_iter().map(|at| (-at.log_size).exp());
+        let opposite = curve.opposite().into_iter().map(|at| ((-at.log_size).exp(), at.hz));
+        let opposite =
+            opposite.filter(|(factor, _)| *factor > 1.0).min_by(|one, other| one.0.total_cmp(&other.0));
         let delays = unity.iter().zip(&angles).map(|(at, angle)| angle.rem_euclid(TAU) / (TAU * at.hz));
         Some(Self {
             ms,
             ms_hz,
-            gain_margin: least(opposite.filter(|factor| *factor > 1.0)),
+            gain_margin: opposite.map(|(factor, _)| factor),
             phase_margin_deg: least(angles.iter().map(|angle| unwrapped(*angle, 0.0).abs().to_degrees())),
             delay_margin_ms: least(delays.map(|delay| 1e3 * delay)),
             disk_margin: 2.0 / balance,
             crossover_hz: unity.last().map(|at| at.hz),
+            opposite_hz: opposite.map(|(_, hz)| hz),
         })
     }
 
@@ -57,6 +62,8 @@ impl Margins {
     pub fn worst(self, other: &Self) -> Self {
         let lower = |one: Option<f64>, other: Option<f64>| least(one.into_iter().chain(other));
         let higher = if other.ms > self.ms { other } else { &self };
+        let factor = |margins: &Self| margins.gain_margin.unwrap_or(f64::INFINITY);
+        let lowest = if factor(other) < factor(&self) { other } else { &self };
         Self {
             ms: higher.ms,
             ms_hz: higher.ms_hz,
@@ -65,6 +72,7 @@ impl Margins {
             delay_margin_ms: lower(self.delay_margin_ms, other.delay_margin_ms),
             disk_margin: self.disk_margin.min(other.disk_margin),
             crossover_hz: self.crossover_hz.into_iter().chain(other.crossover_hz).reduce(f64::max),
+            opposite_hz: lowest.opposite_hz,
         }
     }
 
