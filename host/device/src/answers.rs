@@ -2,14 +2,9 @@
 
 use std::fmt::Debug;
 
-use shared::breath::PERIOD_BOUNDS_US;
 use shared::link::messages::{Request, Response};
 
-use super::DeviceError;
-
-/// Shortest and longest control period, microseconds.
-pub(super) const SHORTEST_US: u32 = PERIOD_BOUNDS_US.0;
-pub(super) const LONGEST_US: u32 = PERIOD_BOUNDS_US.1;
+use super::error::{DeviceError, LONGEST_US, SHORTEST_US};
 
 /// Name of a message's variant.
 pub(super) fn kind(message: &impl Debug) -> String {
