@@ -320,7 +320,7 @@ impl<C: ControlLaw> Ventilator<C> {
         debug_assert!(command.u_out() == u_out, "the valves follow the phase");
         self.learn(state, belief, phase, explore);
         if phase == Phase::Inspiration {
-            let told = told(&state.addition, &output, explore, command.u_in());
+            let told = told(&state.addition, output, explore, command.u_in());
             self.controller.applied(&mut state.controller, told);
         }
         state.last_command = command.u_in();
@@ -424,7 +424,7 @@ impl<C: ControlLaw> Ventilator<C> {
 
 /// The command of a tick as the control law is told it, percent: the applied one, but without a sine. So the sine breaks the loop at
 /// the valve, and what a law makes of its own commands is part of the law.
-fn told(addition: &Addition, output: &ControlOutput, explore: f32, applied: f32) -> f32 {
+fn told(addition: &Addition, output: ControlOutput, explore: f32, applied: f32) -> f32 {
     match addition {
         Addition::Sine(_) if explore != 0.0 => math::limit(output.command - explore, 0.0, COMMAND_MAX),
         _ => applied,

@@ -41,7 +41,8 @@ The ratio of the commands before and after the sine is the gain of the loop. Fro
 largest sensitivity; the gain margin; and the delay margin, each with its interval of 95 %. A robust
 loop keeps Ms at most 2, a gain margin of at least 2 and a delay margin of at least 10 ms. A margin
 whose interval is wider than 10 % to a side is not stated: not enough coherence. Backlash makes the
-margins depend on the amplitude.
+margins depend on the amplitude. Those of a learned controller are those on a ramp, where they can be
+a third larger than on the plateau of `lab margins`.
 
 The advice names what limits the loop, with its figure. Nothing is changed. The defaults take 126
 breaths, 6 minutes at 20 breaths/min. Exit status 1 if a margin could not be stated.")]

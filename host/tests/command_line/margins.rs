@@ -31,7 +31,7 @@ fn a_loop_near_its_edge_is_advised_to_lower_its_gains() {
 #[test]
 fn a_sine_beyond_a_limit_is_refused_with_what_is_allowed() {
     let place = Place::new();
-    assert!(place.refused("margins --amplitude 30").contains("0.1 to 20"));
+    assert!(place.wrong("margins --amplitude 30").contains("0.1 to 20"));
     let refused = place.refused("margins --pip 10");
     assert!(refused.contains("would reach the valve's limits") && refused.contains("at most"), "{refused}");
     let refused = place.refused("margins --settings inspiratory_time=0.5");

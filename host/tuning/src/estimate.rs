@@ -146,7 +146,8 @@ impl Estimate {
 
     /// Whether the valve's limits have cut the sine.
     pub fn is_cut(&self) -> bool {
-        !(self.limited <= LIMITED)
+        let whole = self.limited <= LIMITED;
+        !whole
     }
 }
 

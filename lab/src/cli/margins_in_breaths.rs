@@ -25,7 +25,8 @@ Each plant breathes and is measured as by `trainer margins`, at the lowest PIP o
 cmH2O that makes all margins sure. Beside each margin stands the exact one: that of the bench held
 at the mean pressure and flow of those breaths, as `lab margins` measures it. A margin agrees if it
 is within 10 %, or if both lie outside the frequencies from 1.6 to 25 Hz; or it is not stated for
-want of coherence, printed as ?. Exit status 1 if a margin is stated and does not agree.")]
+want of coherence, printed as ?. Exit status 1 if a margin is stated and does not agree. A learned
+controller acts otherwise on a ramp than on a held plateau, so its margins need not agree.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,

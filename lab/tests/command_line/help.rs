@@ -10,6 +10,7 @@ fn every_command_explains_itself() {
         "robust",
         "bound",
         "margins",
+        "margins-in-breaths",
         "test-table",
         "tune-rival",
         "faults",
