@@ -69,7 +69,7 @@ pub fn sine(turns: f32) -> f32 {
     };
     let square = quarter * quarter;
     // The first terms of the power series of sin(2 pi x).
-    let series = [6.283_185_3, -41.341_702, 81.605_25, -76.705_86, 42.058_693];
+    let series = [core::f32::consts::TAU, -41.341_7, 81.605_25, -76.705_86, 42.058_693];
     quarter * series.iter().rev().fold(0.0, |sum, term| sum * square + term)
 }
 

@@ -3,10 +3,11 @@
 use anyhow::bail;
 use serde::Serialize;
 use shared::device::self_test::{Check, Outcome, Report, Step, StepResult};
+use shared::timing::TickTimes;
 
 use crate::command::{Command, Context, Output, OutputArgs};
-use device::Device;
 use device::port::Address;
+use device::{Device, DeviceError};
 use show::report::{Cell, Table};
 
 /// Show the results of a device's self-test, and run its checks
@@ -23,7 +24,10 @@ on request:
   circuit  checks valves, leak and compliance, with a test lung at the patient port
   relief   checks the relief valve (up to 85 cmH2O): close the patient port first
 
-The last two move the valves, so never run them with a patient at the machine. A step that fails prevents ventilation from starting; the exit code is then 1. Repeat a check to clear its failure.")]
+The last two move the valves, so never run them with a patient at the machine. A step that fails prevents ventilation from starting; the exit code is then 1. Repeat a check to clear its failure.
+
+The last rows are the control ticks since the start: bias of the mean period, largest deviation of a
+period (jitter), ticks that did not run.")]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
@@ -81,6 +85,7 @@ impl Row {
     fn measured(&self) -> String {
         match (self.value, self.unit) {
             (Some(value), Some(unit)) => format!("{value:.2} {unit}"),
+            (Some(value), None) if self.result == "recorded" => format!("{value}"),
             _ => String::new(),
         }
     }
@@ -95,11 +100,17 @@ impl Command for Args {
 
     fn run(&self, context: &Context<'_>) -> anyhow::Result<Option<Vec<Row>>> {
         let mut device = Device::connect(&self.port)?;
-        device.identify()?;
+        let period_us = device.identify()?.period_us;
         if let Some(check) = self.run {
             device.run_check(check.into())?;
         }
-        let rows = rows(&device.self_test()?);
+        let mut rows = rows(&device.self_test()?);
+        match device.timing(false) {
+            Ok(times) => rows.extend(ticks(&times, period_us)),
+            // A small device records no times.
+            Err(DeviceError::Unknown(_)) => {}
+            Err(error) => return Err(error.into()),
+        }
         context.table(&table(&rows));
         Ok(Some(rows))
     }
@@ -116,6 +127,21 @@ fn rows(report: &Report) -> Vec<Row> {
     Step::ALL.into_iter().zip(report).map(Row::new).collect()
 }
 
+/// The control ticks since the device started: by how much the mean period is off, the largest deviation of a period, and the ticks that
+/// did not run.
+fn ticks(times: &TickTimes, period_us: u32) -> Vec<Row> {
+    let row =
+        |step, value: f32, unit| Row { step, result: "recorded", reason: None, value: Some(value), unit };
+    let off = |cycles: f32| times.microseconds(cycles) - period_us as f32;
+    let (shortest, longest) = (off(times.period.shortest as f32), off(times.period.longest as f32));
+    let jitter = longest.abs().max(shortest.abs());
+    let periods = times.period.longest > 0;
+    let recorded = periods.then(|| {
+        [row("tick bias", off(times.period.mean), Some("us")), row("tick jitter", jitter, Some("us"))]
+    });
+    recorded.into_iter().flatten().chain([row("missed ticks", times.missed as f32, None)]).collect()
+}
+
 fn table(rows: &[Row]) -> Table {
     let mut table = Table::new("", &["step", "result", "measured"]);
     for row in rows {
@@ -128,6 +154,16 @@ fn table(rows: &[Row]) -> Table {
 mod tests {
     use super::*;
     use shared::device::self_test::Finding;
+    use shared::timing::CycleStats;
+
+    #[test]
+    fn the_ticks_show_their_bias_their_jitter_and_those_that_are_missing() {
+        let period = CycleStats { shortest: 167_832, mean: 168_084.0, longest: 168_336 };
+        let times = TickTimes { core_hz: 168_000_000, missed: 3, period, ..TickTimes::default() };
+        let shown: Vec<String> = ticks(&times, 1000).iter().map(Row::measured).collect();
+        assert_eq!(shown, ["0.50 us", "2.00 us", "3"]);
+        assert_eq!(ticks(&TickTimes::default(), 1000).len(), 1, "no period before the second tick");
+    }
 
     #[test]
     fn a_step_shows_its_result_its_value_and_the_reason_of_a_failure() {

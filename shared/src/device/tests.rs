@@ -68,7 +68,7 @@ struct Flash {
     calibrations: StoredCalibrations,
     fails: Option<StoreError>,
     /// Descriptions of benches; none of a device that simulates no bench.
-    benches: Option<std::vec::Vec<std::vec::Vec<u8>>>,
+    benches: Option<Vec<Vec<u8>>>,
 }
 
 impl Flash {

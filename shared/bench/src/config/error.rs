@@ -4,10 +4,10 @@ use core::fmt::{Display, Write};
 use core::ops::RangeInclusive;
 
 use crate::step::STEP_US;
-use crate::storage::{MOST_FAULTS, MOST_LEAK_CHANGES, MOST_NAME_BYTES};
+use crate::storage::{MOST_FAULTS, MOST_LEAK_CHANGES, MOST_NAME_BYTES, Text};
 
 /// Path of a field, as in the TOML file.
-pub type FieldPath = heapless::String<96>;
+pub type FieldPath = Text<64>;
 
 /// Why a bench was refused.
 #[derive(Debug, thiserror::Error)]

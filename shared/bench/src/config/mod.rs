@@ -69,7 +69,7 @@ pub struct BenchConfig {
 impl Default for BenchConfig {
     fn default() -> Self {
         Self {
-            name: Text::try_from("R20C20").unwrap_or_default(),
+            name: "R20C20".parse().unwrap_or_default(),
             sub_steps: LEAST_SUB_STEPS,
             valve: ValveConfig::default(),
             blower: None,

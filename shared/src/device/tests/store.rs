@@ -59,7 +59,7 @@ fn a_bench_is_taken_over_in_standby_by_a_device_that_simulates_one() {
     };
     send(&mut rig);
     assert_eq!(rig.ask(Request::CommitBench), Response::Refused(Refusal::NoBench));
-    rig.flash.benches = Some(std::vec::Vec::new());
+    rig.flash.benches = Some(Vec::new());
     rig.start();
     assert_eq!(rig.ask(Request::CommitBench), Response::Refused(Refusal::Ventilating));
     rig.ask(Request::Stop);

@@ -100,9 +100,9 @@ fn no_sine_is_added_below_the_top_of_the_ladder() {
     let explored = |resumed: bool| {
         let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
         if resumed {
-            state.resume()
+            state.resume();
         } else {
-            state.start()
+            state.start();
         }
         run(&ventilator, &mut state, 50, 15.0).sample.unwrap().explore != 0.0
     };
