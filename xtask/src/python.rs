@@ -12,7 +12,7 @@ use crate::trainer::Trainer;
 const EXAMPLES: &str = "examples/python";
 /// Imports of the examples, to check that their packages are installed.
 const PACKAGES: &str =
-    "import control, mlflow, numpy, onnx, onnxruntime, pandas, pyarrow, safetensors, tensorboard";
+    "import control, fmpy, mlflow, numpy, onnx, onnxruntime, pandas, pyarrow, safetensors, tensorboard";
 
 /// Placeholder in command lines, and the plant that replaces it: the Python plant on a pipe.
 const PLANT: (&str, &str) = ("PLANT", "pipe:python3 examples/python/plant.py");
@@ -27,6 +27,7 @@ pub fn run(shell: &Shell) -> Result<()> {
     open_files(shell, &trainer, &python)?;
     repeat_margins(shell, &trainer, &python)?;
     run_networks(shell, &trainer, &python)?;
+    run_fmu(shell, &trainer, &python)?;
     copy_runs(shell, &trainer, &python)
 }
 
@@ -130,6 +131,22 @@ fn run_networks(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<(
     cmd!(shell, "{python} {EXAMPLES}/onnx_check.py {files...}").quiet().run()?;
     let policy = format!("pipe:{} {EXAMPLES}/policy.py --onnx {folder}/3.onnx", python.display());
     trainer.lab("evaluate --policy POLICY --pips 20 --breaths 2", &[("POLICY", &policy)])
+}
+
+/// Runs an FMU in fmpy and compares it with a recording.
+fn run_fmu(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
+    let folder = "target/python/fmu";
+    shell.remove_path(folder)?;
+    let fmu = format!("{folder}/neonate.fmu");
+    let recording = format!("{folder}/neonate.parquet");
+    let bench = "--bench neonate-R100C2";
+    trainer.run(&format!("export neonate --out {fmu} {bench}"), &[])?;
+    trainer.run(
+        &format!("collect --controller neonate --exploration none --breaths 10 {bench} --out {recording}"),
+        &[],
+    )?;
+    cmd!(shell, "{python} {EXAMPLES}/fmu_check.py {fmu} {recording}").quiet().run()?;
+    Ok(())
 }
 
 /// Copies runs into `MLflow` and `TensorBoard`, twice, and compares what these programs then have with the records.

@@ -31,6 +31,8 @@ pub enum Kind {
     Image,
     /// A controller in C.
     Code,
+    /// An FMU, a ZIP archive.
+    Fmu,
     /// A table.
     Table,
     /// Something else.
@@ -40,8 +42,12 @@ pub enum Kind {
 /// Start of a controller in C, which tells it from the files of a user.
 pub const CODE_START: &str = "/* Learned controller ";
 
+/// First file of an FMU, a ZIP archive, in which names follow a header of this length.
+pub const FMU_FIRST: &str = "modelDescription.xml";
+const ZIP_HEADER: usize = 30;
+
 impl Kind {
-    const ENDINGS: [(&str, Self); 12] = [
+    const ENDINGS: [(&str, Self); 13] = [
         ("parquet", Self::Recording),
         ("json", Self::Json),
         ("jsonl", Self::Json),
@@ -53,6 +59,7 @@ impl Kind {
         ("bin", Self::Image),
         ("c", Self::Code),
         ("h", Self::Code),
+        ("fmu", Self::Fmu),
         ("csv", Self::Table),
     ];
 
@@ -89,6 +96,11 @@ impl Kind {
         ];
         if let Some((_, kind)) = magic.into_iter().find(|(magic, _)| start.starts_with(magic)) {
             return kind;
+        }
+        if start.starts_with(b"PK\x03\x04")
+            && start.get(ZIP_HEADER..).is_some_and(|name| name.starts_with(FMU_FIRST.as_bytes()))
+        {
+            return Self::Fmu;
         }
         if start.get(8) == Some(&b'{') && start[6..8] == [0, 0] {
             return Self::Tensors;
@@ -131,6 +143,7 @@ impl Kind {
             Self::Capture => "an MCAP file",
             Self::Image => "a weights image",
             Self::Code => "a controller in C",
+            Self::Fmu => "an FMU",
             Self::Table => "a table",
             Self::Other => "a file of another kind",
         }
@@ -149,6 +162,7 @@ mod tests {
 
     #[test]
     fn the_first_bytes_tell_the_kind() {
+        let fmu = [&b"PK\x03\x04"[..], &[0; ZIP_HEADER - 4], FMU_FIRST.as_bytes()].concat();
         let tensors = [&64_u64.to_le_bytes()[..], b"{\"__metadata__\":{}}"].concat();
         for (start, kind) in [
             (&b"PAR1\x15\x04"[..], Kind::Recording),
@@ -166,6 +180,8 @@ mod tests {
             (&shared::weights::MAGIC, Kind::Image),
             (b"/* Learned controller 0a1b2c3d, written", Kind::Code),
             (b"/* Learned by hand */\nint main;", Kind::Other),
+            (&fmu, Kind::Fmu),
+            (&fmu[..ZIP_HEADER], Kind::Other),
             (b"\xef\xbb\xbft_s,p,u\n0,5,0\n", Kind::Table),
             (b"time;pressure\n0,1;5,0\n", Kind::Table),
             (b"Dear reader\n", Kind::Other),

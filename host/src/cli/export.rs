@@ -1,6 +1,7 @@
 //! `trainer export`: converts files of this project for other programs.
 
 mod code;
+mod fmu;
 mod network;
 mod recording;
 mod weights;
@@ -19,7 +20,7 @@ use data::kind::Kind;
 /// Arguments of `export`.
 #[derive(Debug, clap::Args)]
 #[command(
-    about = "Write weights images for devices; C, ONNX, MCAP or PIRDS",
+    about = "Write weights images for devices; C, FMU, ONNX, MCAP or PIRDS",
     after_help = "\
 Examples:
   trainer export adult --out weights.bin
@@ -27,6 +28,7 @@ Examples:
   trainer export first.parquet --out first.mcap
   trainer export first.parquet --out first.json
   trainer export adult --out adult.c
+  trainer export adult --out adult.fmu --bench R50C10
   trainer export adult --out adult.onnx
   trainer export controller.safetensors --out controller.onnx --check controller.json
   trainer export family.safetensors --unit 2 --out unit-2.onnx
@@ -36,6 +38,8 @@ The ending of --out chooses the format:
            read back, and its controller runs once as a check
   .c       controller as C99 for any chip, with its header (.h): its functions begin with the name of
            the file. It has few of a device's safeguards: docs/C_EXPORT.md
+  .fmu     controller as an FMU (FMI 2.0, co-simulation) for Simulink, Modelica and others: a whole
+           ventilator on a bench, with the settings as parameters
   .mcap    recording as MCAP, without loss, for Foxglove and PlotJuggler: the topics /pressure,
            /valves, /breath and /flow, and the origin
   .json    recording as a JSON array of PIRDS events, as VentDisplay loads it
@@ -54,7 +58,7 @@ pub struct Args {
     /// A recording; a controller (a shipped one, such as adult, or a file as written by `trainer train`); or a simulator's file
     #[arg(value_name = "FILE|NAME")]
     file: PathBuf,
-    /// File to write; its ending chooses the format: .bin, .c, .onnx, .mcap, .json or .jsonl
+    /// File to write; its ending chooses the format: .bin, .c, .fmu, .onnx, .mcap, .json or .jsonl
     #[arg(long, value_name = "PATH", value_parser = OutFile::named())]
     out: OutFile,
     /// The unit of a simulator of several, from 0 [default: the first unit; for a hybrid, a ventilator of no recorded one]
@@ -63,6 +67,9 @@ pub struct Args {
     /// With .onnx, also write inputs and what this program computes from them, to check another runtime
     #[arg(long, value_name = "FILE.json", value_parser = OutFile::of(Kind::Json))]
     check: Option<OutFile>,
+    /// Bench of an FMU: a lung as in R20C20, a row of the test table as in iso-07, or a TOML file [default: R20C20]
+    #[arg(long, value_name = "LUNG|FILE")]
+    bench: Option<String>,
     #[command(flatten)]
     key: KeyArgs,
     /// Version of the signed weights image; devices store only newer ones [default: seconds since 1970]
@@ -78,6 +85,7 @@ pub struct Args {
 pub enum Outcome {
     Weights(weights::Summary),
     Code(code::Summary),
+    Fmu(fmu::Summary),
     Recording(recording::Exported),
     Network(network::Summary),
 }
@@ -87,15 +95,17 @@ pub enum Outcome {
 enum Format {
     Weights,
     Code,
+    Fmu,
     Mcap,
     Pirds(Layout),
     Onnx,
 }
 
 /// The endings of files, with their formats.
-const FORMATS: [(&str, Format); 6] = [
+const FORMATS: [(&str, Format); 7] = [
     ("bin", Format::Weights),
     ("c", Format::Code),
+    ("fmu", Format::Fmu),
     ("mcap", Format::Mcap),
     ("json", Format::Pirds(Layout::Array)),
     ("jsonl", Format::Pirds(Layout::Lines)),
@@ -116,12 +126,16 @@ impl Command for Args {
                 "--unit and --check belong to a controller or simulator: write a file that ends with .onnx"
             );
         }
+        if !matches!(format, Format::Fmu) && self.bench.is_some() {
+            bail!("--bench is that of an FMU: write a file that ends with .fmu");
+        }
         if !matches!(format, Format::Weights) && self.key.key.is_some() {
             bail!("--key signs a weights image: write a file that ends with .bin");
         }
         match format {
             Format::Weights => weights::weights(self, context).map(Outcome::Weights),
             Format::Code => code::code(self, context).map(Outcome::Code),
+            Format::Fmu => fmu::fmu(self, context).map(Outcome::Fmu),
             Format::Mcap => recording::mcap(self, context).map(Outcome::Recording),
             Format::Pirds(layout) => recording::pirds(self, layout, context).map(Outcome::Recording),
             Format::Onnx => network::onnx(self, context).map(Outcome::Network),

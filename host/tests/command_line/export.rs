@@ -83,6 +83,19 @@ fn a_controller_that_the_c_file_does_not_know_is_refused_with_the_reason() {
 }
 
 #[test]
+fn a_controller_is_exported_as_an_fmu_on_a_bench() {
+    let place = Place::new();
+    let summary = place.json("export adult --out adult.fmu --bench R50C10");
+    let bytes = std::fs::read(place.path("adult.fmu")).unwrap();
+    assert_eq!((&summary["bench"], &summary["bytes"]), (&"R50C10".into(), &bytes.len().into()));
+    place.ok("export adult --out other.fmu");
+    assert_ne!(std::fs::read(place.path("other.fmu")).unwrap(), bytes, "another bench");
+    std::fs::write(place.path("mine.fmu"), b"PK\x03\x04 an archive of my own").unwrap();
+    assert!(place.wrong("export adult --out mine.fmu").contains("is a file of another kind, not an FMU"));
+    assert!(place.refused("export adult --out a.c --bench R50C10").contains("--bench is that of an FMU"));
+}
+
+#[test]
 fn what_cannot_be_exported_is_refused() {
     let place = Place::new();
     let (controller, data) = (place.controller(), place.collected());

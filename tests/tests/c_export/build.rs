@@ -74,8 +74,8 @@ impl Place {
             let source = source(image, name).expect("the name is one in C");
             put(name, "c", &source.code);
             put(name, "h", &source.header);
-            headers += &format!("#include \"{name}.h\"\n");
-            entries += &format!(" X({name})");
+            headers.extend(["#include \"", name, ".h\"\n"]);
+            entries.extend([" X(", name, ")"]);
         }
         put("controllers", "h", &format!("{headers}#define CONTROLLERS(X){entries}\n"));
         Self { folder, names: controllers.iter().map(|(name, _)| name.clone()).collect() }

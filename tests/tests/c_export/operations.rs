@@ -9,7 +9,7 @@ use shared::control::network::Network;
 use shared::control::pid::PidGains;
 use shared::control::residual::{Residual, ResidualSpec};
 use shared::sensor::HIGHEST_PRESSURE;
-use shared::settings::{FIELDS, Settings, SettingsError};
+use shared::settings::{FIELDS, LEAST_RISE, Settings, SettingsError};
 use shared::weights::{IMAGE_BYTES, Identity, Image, decode, encode};
 
 /// Operations of the driver.
@@ -21,8 +21,8 @@ const CHECK: u32 = 4;
 
 /// Settings that the C file has: the first ones of [`FIELDS`].
 const SETTINGS: usize = 8;
-/// Breaths of each controller.
-const BREATHS: u32 = 12;
+/// Breaths of a controller, and one more for each of these microseconds of its control period: long ticks cost little.
+const BREATHS: (u32, u32) = (14, 500);
 /// Readings that no sensor gives, and ones at the ends of its range, cmH2O.
 const STRANGE: [f32; 9] = [
     f32::NAN,
@@ -75,7 +75,7 @@ pub fn drawn(seed: u64) -> (String, Image) {
         target_ahead: [(); 2].map(|()| tap(&mut draw)),
     };
     let spec = ResidualSpec {
-        period_us: [1000, 2300, 20_000][seed as usize % 3],
+        period_us: [1000, 2300, 50_000][seed as usize % 3],
         gains: PidGains { p: draw.between(0.0, 5.0), i: draw.between(0.0, 50.0), d: draw.between(0.0, 0.1) },
         lambda: draw.between(0.1, 1.0),
         authority: draw.between(5.0, 100.0),
@@ -140,11 +140,15 @@ impl Operations {
     }
 }
 
-/// Other settings: a small step of a pressure, or any valid ones.
+/// Other settings: a small step of a pressure, an inspiration that at long control periods is too short to learn from, or any valid ones.
 fn other(now: Settings, draw: &mut Draw) -> Settings {
-    if draw.below(3) == 0 {
-        let stepped = Settings { pip: now.pip + draw.between(-3.5, 3.5), ..now };
-        return if stepped.validate().is_ok() { stepped } else { now };
+    let close = match draw.below(4) {
+        0 => Some(Settings { pip: now.pip + draw.between(-3.5, 3.5), ..now }),
+        1 => Some(Settings { inspiratory_time: draw.between(0.2, 0.35), ..now }),
+        _ => None,
+    };
+    if let Some(close) = close {
+        return if close.validate().is_ok() { close } else { now };
     }
     loop {
         let mut values = Settings::default().values();
@@ -162,9 +166,10 @@ fn other(now: Settings, draw: &mut Draw) -> Settings {
 fn spoiled(now: Settings, draw: &mut Draw) -> Settings {
     let mut values = now.values();
     let field = draw.below(SETTINGS as u32) as usize;
-    values[field] = match draw.below(2) {
+    values[field] = match draw.below(3) {
         0 => f32::from_bits(draw.0.next_u32()),
-        _ => draw.between(FIELDS[field].min, FIELDS[field].max),
+        1 => draw.between(FIELDS[field].min, FIELDS[field].max),
+        _ => return Settings { pip: now.peep.max(5.0) + draw.between(0.0, LEAST_RISE), ..now },
     };
     Settings::from_values(values)
 }
@@ -183,9 +188,9 @@ impl Run<'_> {
         self.step(&mut state, 5.0);
         let mut settings = Settings::default();
         let mut pressure = 0.0;
-        for breath in 0..BREATHS {
+        for breath in 0..BREATHS.0 + period_us / BREATHS.1 {
             // Five alike, so that the controller learns enough to be surprised, then any.
-            if breath >= 5 && draw.below(2) == 0 {
+            if breath >= 5 && draw.below(3) == 0 {
                 settings = other(settings, draw);
             }
             for asked in [spoiled(settings, draw), settings] {
@@ -195,7 +200,7 @@ impl Run<'_> {
         }
     }
 
-    /// A breath on a lung with a lag: whole or cut short, undisturbed or with strange readings.
+    /// A breath on a lung with a lag, in one of these ways: undisturbed, with strange readings, said to be disturbed, cut short.
     fn breathe(
         &mut self,
         state: &mut StandaloneState,
@@ -205,15 +210,16 @@ impl Run<'_> {
         pressure: &mut f32,
     ) {
         let Some(inspiration) = state.breath().map(Breath::inspiration_ticks) else { return };
-        let disturbed = breath >= 5 && draw.below(3) == 0;
-        let ticks = if disturbed { draw.below(2 * inspiration) } else { inspiration + 20 };
-        let gain = draw.between(0.3, 1.2);
+        let way = if breath < 5 { 0 } else { draw.below(6) };
+        let (strange, disturbed, short) = (way == 1, way == 2, way == 3);
+        let ticks = if short { 1 + draw.below(inspiration) } else { inspiration + 20 };
+        let gain = if way == 0 { 0.9 } else { draw.between(0.3, 1.2) };
         let share = (period_us as f32 / 50_000.0).min(1.0);
-        for _ in 0..ticks {
-            if disturbed && draw.below(200) == 0 {
+        for tick in 0..ticks {
+            if strange && draw.below(1 + ticks / 8) == 0 {
                 self.step(state, STRANGE[draw.below(STRANGE.len() as u32) as usize]);
             }
-            if disturbed && draw.below(1000) == 0 {
+            if disturbed && tick == inspiration / 2 {
                 state.disturb();
                 self.operations.add(self.number, DISTURB, &[], [0; 3]);
             }
