@@ -225,8 +225,8 @@ mod tests {
         ) {
             let asked = breath();
             let mut course = Course::new(&asked);
-            let mut through = 0;
-            for (breath, tick, phase, u_out, [target, pressure, u_in, explore, learned], flow, fits) in samples {
+            for (through, drawn) in (0..).zip(samples) {
+                let (breath, tick, phase, u_out, [target, pressure, u_in, explore, learned], flow, fits) = drawn;
                 let phase = [Phase::Inspiration, Phase::Fall, Phase::Expiration][phase];
                 let drawn = Sample { breath, tick, phase, target, pressure, u_in, u_out, explore, learned, flow };
                 let sample = if fits { sound(course.breath.unwrap_or(1), course.ticks, &asked) } else { drawn };
@@ -234,7 +234,6 @@ mod tests {
                     break;
                 }
                 prop_assert_eq!(sample.tick, through);
-                through += 1;
                 let values = [sample.target, sample.pressure, sample.u_in, sample.explore, sample.learned];
                 prop_assert!(values.iter().all(|value| value.is_finite()));
                 prop_assert!((0.0..=100.0).contains(&sample.u_in) && sample.pressure.abs() <= 1000.0);
