@@ -64,8 +64,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = Plan::default().frequencies, value_parser = within::<u8>(8, 40))]
     frequencies: u8,
     /// Number of breaths at each frequency
-    #[arg(long, value_name = "N", default_value_t = Plan::default().phases, value_parser = within::<u8>(5, 24))]
-    breaths: u8,
+    #[arg(long, value_name = "N", default_value_t = Plan::default().phases.into(), value_parser = within::<u32>(5, 24))]
+    breaths: u32,
     /// Seed of a bench's sensor noise and of the intervals
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -148,7 +148,8 @@ impl Args {
         let base = Plan::default();
         let settings = self.settings.over(&Settings { pip: self.pip, ..base.settings });
         let Self { amplitude, frequencies, breaths, seed, .. } = *self;
-        Plan { settings, amplitude, frequencies, phases: breaths, seed, ..base }
+        // At most 24.
+        Plan { settings, amplitude, frequencies, phases: breaths as u8, seed, ..base }
     }
 
     /// Prints the result and writes the files.
