@@ -57,8 +57,8 @@ fn no_board_drives_a_valve_from_the_debug_port() {
     let mut valves = 0;
     for file in fs::read_dir(boards).unwrap() {
         let text = fs::read_to_string(file.unwrap().path()).unwrap();
-        for (valve, pin) in text.lines().filter_map(|line| line.strip_prefix("pub type ")?.split_once(" = "))
-        {
+        let types = text.lines().filter_map(|line| line.strip_prefix("pub type ")?.split_once(" = "));
+        for (valve, pin) in types.filter(|(name, _)| ["Inspiratory", "Expiratory"].contains(name)) {
             let pin = pin.trim_end_matches(';');
             assert!(!DEBUG_PORT.contains(&pin), "{valve} is on {pin}");
             valves += 1;
