@@ -46,6 +46,7 @@ const CHIP: &[Step] = &[
     step("setup", &["xtask setup"]),
     step("clippy-board", &[CHIP_CLIPPY, "-p firmware --features stm32f405", DENY_WARNINGS]),
     step("clippy-hil", &[CHIP_CLIPPY, "-p firmware --features stm32f405,hil,cost", DENY_WARNINGS]),
+    step("clippy-desk", &[CHIP_CLIPPY, "-p firmware --features stm32f405,desk", DENY_WARNINGS]),
     step("clippy-f446", &[CHIP_CLIPPY, "-p firmware --features stm32f446", DENY_WARNINGS]),
     step("clippy-shim", &[CHIP_CLIPPY, "-p shim", DENY_WARNINGS]),
     step("firmware", &["xtask firmware"]),
