@@ -35,7 +35,10 @@ impl ControlLaw for Told {
 }
 
 fn sweeping() -> Ventilator<Told> {
-    let mut ventilator = Ventilator::new(DEFAULT_PERIOD_US, Told).with_monitors(Monitors::ANY_PLANT);
+    // The monitors for any plant, and that of a leak.
+    let others = Fault::all().filter(|fault| !Monitors::ANY_PLANT.has(*fault) && *fault != Fault::Leak);
+    let monitors = others.fold(Monitors::ALL, Monitors::without);
+    let mut ventilator = Ventilator::new(DEFAULT_PERIOD_US, Told).with_monitors(monitors);
     ventilator.set_sweep(Some(SWEEP));
     ventilator
 }
@@ -80,6 +83,10 @@ fn an_alarm_ends_the_sine_of_the_breath_and_none_begins_before_it_has_ended() {
             }
             let pressure = if tick < 1000 { 15.0 } else { 5.0 };
             let sample = ventilator.step(&mut state, pressure).sample.unwrap();
+            assert_eq!(
+                raised.is_some_and(|fault| state.indications().present().has(fault)),
+                raised.is_some() && tick >= 500
+            );
             moved[usize::from(tick >= 500)] += u32::from(sample.explore != 0.0);
         }
         assert_eq!(state.level(), Level::Learned, "the alarm takes nothing from the controller");
