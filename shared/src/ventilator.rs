@@ -212,6 +212,8 @@ impl<C: ControlLaw> Ventilator<C> {
     }
 
     /// A state in standby with the first breath.
+    // Inlined, it would be built on the caller's stack and then copied; called, it is built in its place.
+    #[inline(never)]
     pub fn at_rest(&self, breath: Breath) -> VentilatorState<C::State> {
         VentilatorState {
             mode: Mode::Standby,

@@ -97,12 +97,12 @@ impl Control {
         let pid = Pid::new(KNOWN_GOOD, period_us).map_err(|_| Refusal::Gains)?;
         let breath = Breath::new(&Settings::default(), period_us)?;
         let ventilator = Ventilator::new(period_us, Controller::Pid(pid));
-        let state = ventilator.at_rest(breath);
         let controller = ControllerChoice::Pid(KNOWN_GOOD);
         Ok(Self {
             kind,
+            // Not a variable, which would be copied from the stack; the smallest one is nearly used up here.
+            state: ventilator.at_rest(breath),
             ventilator,
-            state,
             learned: None,
             status: Status {
                 mode: Mode::Standby,
