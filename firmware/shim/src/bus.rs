@@ -137,6 +137,11 @@ impl Chip {
         }
     }
 
+    /// Lets the host of a program without a plant set the pace.
+    pub fn pace(&mut self, outside: &mut impl Outside) {
+        self.plant_port.tick(outside);
+    }
+
     /// Lets the calendar clock run up to now.
     pub fn run_clock(&mut self, record: &Record, outside: &mut impl Outside) {
         let now = outside.now();

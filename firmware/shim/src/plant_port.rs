@@ -3,8 +3,14 @@
 //! Sending never waits. The sent bytes go to the host when the program reads the status twice in a row and there is nothing
 //! to receive, since that is how a program waits for an answer; between two bytes that it sends it reads the status once.
 //! The exchange takes no time on the chip.
+//!
+//! A program that has no plant on its line leaves the port off. For such a program the port itself sends empty requests at
+//! regular intervals, so that the host can limit the speed of its virtual time.
 
 use crate::store::Store;
+
+/// Ticks from one empty request to the next while the port is off.
+pub const PACE_TICKS: u32 = 10;
 
 /// Buffer size in each direction, bytes.
 const BUFFER: usize = 256;
@@ -39,6 +45,8 @@ pub struct PlantPort {
     taken: usize,
     /// Whether the last access read the status.
     waiting: bool,
+    /// Ticks since the last empty request.
+    unpaced: u32,
 }
 
 #[derive(Clone, Debug)]
@@ -61,7 +69,29 @@ impl PlantPort {
     /// The port after a reset.
     pub(crate) const fn new() -> Self {
         let registers = [0; LAST as usize / 4 + 1];
-        Self { registers, outgoing: Queue::new(), incoming: Queue::new(), taken: 0, waiting: false }
+        Self {
+            registers,
+            outgoing: Queue::new(),
+            incoming: Queue::new(),
+            taken: 0,
+            waiting: false,
+            unpaced: 0,
+        }
+    }
+
+    /// A system tick: sends an empty request now and then, if the port is off.
+    pub fn tick(&mut self, line: &mut impl Line) {
+        self.unpaced += 1;
+        if self.unpaced == PACE_TICKS {
+            self.unpaced = 0;
+            if !self.is_enabled() {
+                line.send(&[]);
+            }
+        }
+    }
+
+    fn is_enabled(&self) -> bool {
+        self.registers[CONTROL_1 as usize / 4] & ENABLED != 0
     }
 
     /// The word at an offset; zero where there is no register.
@@ -109,7 +139,7 @@ impl PlantPort {
     #[inline]
     fn give(&mut self, byte: u8, line: &mut impl Line) {
         self.waiting = false;
-        if self.registers[CONTROL_1 as usize / 4] & ENABLED == 0 {
+        if !self.is_enabled() {
             return;
         }
         if self.outgoing.length == BUFFER {
@@ -225,6 +255,17 @@ mod tests {
         send(&mut port, &mut line, b"frame");
         receive(&mut port, &mut line, 3);
         assert!(line.sent.is_empty());
+    }
+
+    #[test]
+    fn a_port_that_is_off_lets_the_host_set_the_pace() {
+        let requests = |port: &mut PlantPort| {
+            let mut line = Recorder::default();
+            (0..3 * PACE_TICKS).for_each(|_| port.tick(&mut line));
+            line.sent
+        };
+        assert_eq!(requests(&mut PlantPort::new()), [[0; 0]; 3]);
+        assert!(requests(&mut enabled(&mut Recorder::default())).is_empty());
     }
 
     #[test]

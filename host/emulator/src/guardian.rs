@@ -12,11 +12,18 @@ use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 
-/// Arguments: the log, the program, its arguments. The pipe is passed as standard error, because no other descriptor
-/// number can be chosen. A line in it means that the program has already ended.
+use crate::processor;
+
+/// Arguments: the log, the processor, the program, its arguments. The pipe is passed as standard error, because no other descriptor
+/// number can be chosen. A line in it means that the program has already ended. Where the system has the commands, the program
+/// stays on the processor, in batches: a thread that wakes does not interrupt the one that runs.
 const SCRIPT: &str = r#"
 log=$1
-shift
+processor=$2
+shift 2
+if taskset -c "$processor" chrt --batch 0 true 2>/dev/null; then
+  set -- taskset -c "$processor" chrt --batch 0 "$@"
+fi
 exec 3<&0
 "$@" <&3 3<&- 2>"$log" &
 program=$!
@@ -56,6 +63,7 @@ impl Guarded {
         let shell = Command::new("sh")
             .args(["-c", SCRIPT, "guardian"])
             .arg(surroundings.log)
+            .arg(processor::next().to_string())
             .arg(program.get_program())
             .args(program.get_args())
             .current_dir(surroundings.folder)

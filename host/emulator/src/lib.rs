@@ -11,6 +11,7 @@ mod error;
 mod guardian;
 mod lockstep;
 mod pipes;
+mod processor;
 mod qemu;
 
 pub use error::{EmulatorError, FLASH_BYTES};

@@ -17,7 +17,8 @@ const ANY_PERIOD: u32 = 0;
 
 /// The other end of the board's plant line.
 pub trait PlantEnd {
-    /// The answer to the bytes sent; empty for silence. Virtual time stops meanwhile.
+    /// The answer to the bytes sent; empty for silence. Virtual time stops meanwhile. A board that does not use the line sends
+    /// no bytes, once every [`shim::plant_port::PACE_TICKS`] ticks.
     fn answer(&mut self, request: &[u8]) -> Vec<u8>;
 }
 

@@ -1,7 +1,8 @@
 //! The plant line between shim and host: two pipes in the board's folder, and the thread that answers.
 //!
 //! Each message is a length (u16, little endian) and that number of bytes. Every request gets one answer; an empty one
-//! means silence. The shim's first request is empty and reports that the shim has started.
+//! means silence. The shim's first request is empty and reports that the shim has started; later empty ones let the host set
+//! the pace of a board without a plant.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -34,7 +35,7 @@ impl PlantThread {
         let thread = std::thread::Builder::new()
             .name("plant".into())
             // The line ends when QEMU does, which its owner reports.
-            .spawn(move || drop(serve(requests, answers, plant, &sender)))?;
+            .spawn(move || drop(serve(requests, answers, plant, sender)))?;
         Ok(Self { started, thread: Some(thread), held })
     }
 
@@ -74,21 +75,20 @@ fn serve(
     mut requests: impl Read,
     mut answers: impl Write,
     mut plant: impl PlantEnd,
-    started: &Sender<()>,
+    started: Sender<()>,
 ) -> io::Result<()> {
+    let mut started = Some(started);
     let mut frame = Vec::new();
     loop {
         let mut length = [0; 2];
         requests.read_exact(&mut length)?;
         let mut request = vec![0; u16::from_le_bytes(length).into()];
         requests.read_exact(&mut request)?;
-        let answer = if request.is_empty() {
+        if let Some(started) = started.take() {
             // The receiver may have gone.
             let _ = started.send(());
-            Vec::new()
-        } else {
-            plant.answer(&request)
-        };
+        }
+        let answer = plant.answer(&request);
         let length = u16::try_from(answer.len()).unwrap_or(u16::MAX);
         frame.clear();
         frame.extend(length.to_le_bytes());
@@ -121,7 +121,7 @@ mod tests {
         let (sender, started) = channel();
         let mut answers = Vec::new();
         let requests: &[u8] = b"\x00\x00\x03\x00abc\x01\x00d\x05\x00to";
-        assert!(serve(requests, &mut answers, Echo, &sender).is_err(), "the last request is torn");
+        assert!(serve(requests, &mut answers, Echo, sender).is_err(), "the last request is torn");
         assert_eq!(answers, b"\x00\x00\x06\x00abcabc\x02\x00dd");
         assert!(started.try_recv().is_ok());
     }

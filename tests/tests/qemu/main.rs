@@ -27,7 +27,7 @@ use std::{env, fs};
 use device::blackbox::{Blackbox, RecordedTicks};
 use device::port::Address;
 use device::{Device, DeviceError};
-use emulator::{Emulator, EmulatorConfig, LockstepPlant, PlantEnd};
+use emulator::{Emulator, EmulatorConfig, LockstepPlant, Paced, PlantEnd};
 use plant::bench::{BenchConfig, BenchPlant};
 use plant::{Plant, Reading};
 use progress::Progress;
@@ -51,6 +51,7 @@ use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState, UNIT};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 use shim::flash::{COPIES, NEW_OPTIONS, SECTOR_BYTES, WEIGHTS};
+use shim::plant_port::PACE_TICKS;
 use shim::record;
 use tests::debugger::{Debugger, symbol};
 use tests::exact_lung::ExactLung;
@@ -98,9 +99,11 @@ fn breathing(config: EmulatorConfig, lung: &BenchConfig) -> (Emulator, Device) {
     (board, device)
 }
 
-/// A board that simulates the bench itself, with a lung; nothing is connected to it but the link.
+/// A board that simulates the bench itself, with a lung; nothing is connected to it but the link. At most four times as fast as
+/// real time: while it waits for its host it could run so fast that the host's lease ends between two requests.
 fn on_the_desk(bench: &BenchConfig) -> (Emulator, Device) {
-    let board = Emulator::start(config("desk"), Silence).unwrap();
+    let pace = Duration::from_millis(PACE_TICKS.into()) / 4;
+    let board = Emulator::start(config("desk"), Paced::new(Silence, pace)).unwrap();
     let mut device = connect(&board);
     device.set_bench(&bench.to_bytes()).unwrap();
     (board, device)

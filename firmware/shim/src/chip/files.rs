@@ -98,7 +98,7 @@ impl Line for Files {
         let mut length = [0; 2];
         self.read(&mut length[..1]);
         self.read(&mut length[1..]);
-        // SAFETY: only the hard fault and, before it, the start use it.
+        // SAFETY: only the hard fault, the system tick while the line is idle and, before them, the start use it.
         unsafe { ANSWER_LEFT = u16::from_le_bytes(length).into() };
     }
 

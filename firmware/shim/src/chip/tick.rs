@@ -1,4 +1,4 @@
-//! The system tick handler: it checks the watchdog, then jumps to the firmware's own handler.
+//! The system tick handler: it keeps the host's pace and checks the watchdog, then jumps to the firmware's own handler.
 //!
 //! So a firmware that hangs with its system tick running and unmasked is reset. A firmware that masks all interrupts
 //! permanently is not, unlike on the chip.
@@ -33,7 +33,9 @@ extern "C" fn look() {
     if interrupts.supply {
         registers::raise_supply();
     }
-    chip.run_clock(record, &mut Files(record.files));
+    let mut files = Files(record.files);
+    chip.pace(&mut files);
+    chip.run_clock(record, &mut files);
     let watchdog = &mut chip.iwdg;
     if watchdog.expired(registers::now()) {
         record.expire();
