@@ -2,7 +2,8 @@
 //!
 //! A [`source`] gives the news of a device. Its [`hub`], one thread for each device, makes messages of them ([`stream`]), with the
 //! [`figures`] of each breath, their [`trends`] and the list of [`alarms`], and queues them for the open pages ([`viewers`]). [`http`] serves the
-//! pages behind a [`guard`]; [`steer`] lets one of them steer.
+//! pages behind a [`guard`]; [`steer`] lets one of them steer, and measure the margins of a
+//! device.
 //!
 //! Without the feature `server`, only what needs neither clock nor thread nor port is left, for a page that runs everything itself.
 #![forbid(unsafe_code)]
@@ -20,6 +21,10 @@ pub mod guard;
 pub mod http;
 #[cfg(feature = "server")]
 pub mod hub;
+#[cfg(feature = "server")]
+mod margins;
+#[cfg(feature = "server")]
+mod measuring;
 #[cfg(feature = "server")]
 pub mod metrics;
 #[cfg(feature = "server")]

@@ -14,6 +14,7 @@ use tokio::sync::watch;
 use crate::guard::Guard;
 use crate::http::{Shared, serve};
 use crate::hub::Hub;
+use crate::margins::choices;
 use crate::metrics::Metrics;
 use crate::source::Watch;
 use crate::stream::{DeviceInfo, Hello, Limits, SettingInfo, VERSION};
@@ -151,7 +152,7 @@ fn share(
     let Options { steer, demo, .. } = *options;
     let (settings, limits) = (SettingInfo::all(), Limits::default());
     let guard = Guard::new(address, steer);
-    let greeting =
-        Hello { version: VERSION, steer, record: guard.token().is_some(), demo, settings, limits, devices };
+    let (record, measure) = (guard.token().is_some(), Some(choices()));
+    let greeting = Hello { version: VERSION, steer, record, demo, settings, limits, measure, devices };
     Shared { guard, greeting, hubs, viewers, metrics, stopping }
 }

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 
 use monitoring::reported::Reported;
+use monitoring::ticks::Evenness;
 use monitoring::{News, POLLED, words};
 use shared::control::memory::{LEARNING, Lesson};
 use shared::link::messages::{ControllerChoice, Event, LeaseStatus, Request, Response};
@@ -83,6 +84,7 @@ pub struct Watched {
     line: LineInfo,
     before: LineInfo,
     samples: u64,
+    breath: Option<u32>,
     /// Number of the ticks' statistics, which a restart sets back.
     ticks: u32,
     /// What the device does not report, or reports wrongly, in words, and whether pages were told.
@@ -109,6 +111,7 @@ impl Watched {
             line: LineInfo::default(),
             before: LineInfo::default(),
             samples: 0,
+            breath: None,
             ticks: 0,
             complaints: BTreeMap::new(),
         }
@@ -189,8 +192,13 @@ impl Watched {
         self.reported.lost.is_none()
     }
 
+    /// Number of the newest breath; none before the first sample.
+    pub fn newest_breath(&self) -> Option<u32> {
+        self.breath
+    }
+
     /// Whether it should send samples.
-    fn is_sampled(&self) -> bool {
+    pub fn is_sampled(&self) -> bool {
         self.is_connected() && self.reported.mode == Some(Mode::Ventilating)
     }
 
@@ -233,6 +241,7 @@ impl Watched {
             if self.points.is_empty() {
                 self.first_tick = tick;
             }
+            self.breath = Some(sample.breath);
             let (point, figures) = self.meter.take(tick, &sample, self.reported.in_force.as_ref());
             self.points.push(point);
             let device = self.device;
@@ -391,6 +400,7 @@ impl Watched {
             audio: Audio { priority: audio.priority.map(Priority::name), pause_left: audio.pause_left },
             steered_by: page.map(str::to_owned),
             lease: reported.lease.as_ref().and_then(holder),
+            measuring: None,
             ticks: self.ticks(),
             line: self.line,
             recording,
@@ -403,7 +413,9 @@ impl Watched {
             // A simulated device has no core clock: all its times are zero.
             let us = |cycles: f32| (times.work.longest > 0).then(|| times.microseconds(cycles));
             let (mean_us, worst_us) = (us(times.work.mean), us(times.work.longest as f32));
-            Ticks { mean_us, worst_us, missed: times.missed }
+            let even = Evenness::of(times, self.period_us);
+            let (bias_us, jitter_us) = even.map(|even| (even.bias_us, even.jitter_us)).unzip();
+            Ticks { mean_us, worst_us, bias_us, jitter_us, missed: times.missed }
         })
     }
 

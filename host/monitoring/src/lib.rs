@@ -1,11 +1,12 @@
-//! What a device reports, for every display of it: news, the state that they have [`reported`], [`words`], and the [`curve`] of an
-//! inspiration.
+//! What a device reports, for every display of it: news, the state that they have [`reported`], [`words`], how evenly it [`ticks`],
+//! and the [`curve`] of an inspiration.
 //!
 //! Neither clock nor port nor thread: it compiles for a browser, too.
 #![forbid(unsafe_code)]
 
 pub mod curve;
 pub mod reported;
+pub mod ticks;
 pub mod words;
 
 use serde::Serialize;

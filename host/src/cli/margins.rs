@@ -2,7 +2,7 @@
 
 use std::io::{IsTerminal, Write, stderr, stdin};
 
-use anyhow::{Context as _, ensure};
+use anyhow::{Context as _, bail, ensure};
 use serde::Serialize;
 use shared::explore::sines::AMPLITUDE_MAX;
 use shared::settings::Settings;
@@ -15,11 +15,11 @@ use crate::command::bounds::within;
 use crate::command::{Command, Context, OutFile, Output, OutputArgs, write};
 use data::kind::Kind;
 use show::report::{Block, Cell, Report, Section, Table};
-use tuning::estimate::Estimate;
 use tuning::figures;
-use tuning::interval::{Finding, Sure, SureMargins};
-use tuning::measure::{Ended, Measured, Plan, measure};
+use tuning::measure::measure;
+use tuning::measurement::{Ended, FREQUENCIES, Measured, PHASES, Plan};
 use tuning::stability::RequiredMargins;
+use tuning::words::{self, Row};
 
 /// What a person must type to confirm a test lung.
 const CONFIRMED: &str = "yes";
@@ -61,10 +61,10 @@ pub struct Args {
     #[arg(long, value_name = "PERCENT", default_value_t = Plan::default().amplitude, value_parser = within::<f32>(0.1, AMPLITUDE_MAX))]
     amplitude: f32,
     /// Number of frequencies from 1.6 to 25 Hz
-    #[arg(long, value_name = "N", default_value_t = Plan::default().frequencies, value_parser = within::<u8>(8, 40))]
+    #[arg(long, value_name = "N", default_value_t = Plan::default().frequencies, value_parser = within::<u8>(*FREQUENCIES.start(), *FREQUENCIES.end()))]
     frequencies: u8,
     /// Number of breaths at each frequency
-    #[arg(long, value_name = "N", default_value_t = Plan::default().phases.into(), value_parser = within::<u32>(5, 24))]
+    #[arg(long, value_name = "N", default_value_t = Plan::default().phases.into(), value_parser = within::<u32>((*PHASES.start()).into(), (*PHASES.end()).into()))]
     breaths: u32,
     /// Seed of a bench's sensor noise and of the intervals
     #[arg(long, default_value_t = 1)]
@@ -130,15 +130,11 @@ impl Command for Args {
     }
 
     fn conclude(&self, outcome: Summary, _context: &Context<'_>) -> anyhow::Result<()> {
-        let Measured { ended, margins, .. } = &outcome.measured;
-        match ended {
-            Some(Ended::Alarm(reason)) => anyhow::bail!("an alarm ended the measurement: {reason}"),
-            Some(Ended::Failed(reason)) => anyhow::bail!("the measurement ended early: {reason}"),
+        match &outcome.measured.ended {
+            Some(Ended::Alarm(reason)) => bail!("an alarm ended the measurement: {reason}"),
+            Some(Ended::Failed(reason)) => bail!("the measurement ended early: {reason}"),
             Some(Ended::Stopped) => Ok(()),
-            None => {
-                ensure!(margins.suffices(), "{}", why_not(&outcome.measured));
-                Ok(())
-            }
+            None => words::unstated(&outcome.measured).map_or(Ok(()), |why| bail!(why)),
         }
     }
 }
@@ -210,73 +206,22 @@ fn named(summary: &Summary) -> (String, Vec<tuning::response::ResponsePoint>) {
 }
 
 fn table(summary: &Summary) -> Table {
-    let Summary { plant, controller, required, measured, .. } = summary;
+    let Summary { plant, controller, measured, .. } = summary;
     let title = format!("{plant} under {controller}, sine of {} %", measured.plan.amplitude);
     let mut table = Table::new(title, &["margin", "value", "95 % from", "to", "robust"]);
-    let SureMargins { ms, gain_margin, delay_margin_ms, .. } = measured.margins;
-    for (name, finding, decimals, robust) in [
-        ("Ms", ms, 2, format!("at most {}", required.ms)),
-        ("gain margin", gain_margin, 2, format!("at least {}", required.gain_margin)),
-        ("delay margin, ms", delay_margin_ms, 1, format!("at least {}", required.delay_margin_ms)),
-    ] {
-        let interval =
-            |Sure { low, high, .. }: Sure| [Cell::number(low, decimals), Cell::known(high, decimals)];
-        let (value, ends) = match finding {
-            Finding::Found(sure) => (Cell::number(sure.value, decimals), interval(sure)),
-            Finding::NotEnoughCoherence(Some(sure)) => (Cell::text("not enough coherence"), interval(sure)),
-            Finding::NotEnoughCoherence(None) => {
-                (Cell::text("not enough coherence"), [(); 2].map(|()| Cell::known(None, 0)))
-            }
-            Finding::OutsideFrequencies => {
-                (Cell::text("outside the frequencies"), [(); 2].map(|()| Cell::known(None, 0)))
-            }
-        };
-        let [low, high] = ends;
-        table.row(vec![Cell::text(name), value, low, high, Cell::text(robust)]);
+    for row in words::rows(&measured.margins) {
+        let Row { value, unstated, interval, decimals, .. } = row;
+        let name = if row.unit.is_empty() { row.name.into() } else { format!("{}, {}", row.name, row.unit) };
+        let stated = unstated.map_or_else(|| Cell::known(value, decimals), Cell::text);
+        let (low, high) = interval.unzip();
+        let [low, high] = [low, high.flatten()].map(|end| Cell::known(end, decimals));
+        table.row(vec![Cell::text(name), stated, low, high, Cell::text(row.robust)]);
     }
     table
 }
 
 /// The result beside the table, in words.
 fn lines(measured: &Measured) -> Vec<String> {
-    let Measured { estimates, point, margins, advice, ended, .. } = measured;
-    let counting: Vec<&Estimate> = estimates.iter().filter(|estimate| estimate.counts()).collect();
-    let mut lines = Vec::new();
-    if let (Some(first), Some(last)) = (counting.first(), counting.last()) {
-        let least = counting.iter().map(|estimate| estimate.coherence).fold(1.0, f64::min);
-        lines.push(format!(
-            "{} of {} frequencies count, {:.1} to {:.1} Hz, with a coherence of at least {least:.2}",
-            counting.len(),
-            measured.plan.frequencies,
-            first.response.hz,
-            last.response.hz
-        ));
-        lines.push(format!(
-            "measured at {:.1} cmH2O and {:.0} % of the command; without a sine the valve moves {:.0} % a second",
-            point.pressure, point.command, point.effort
-        ));
-    }
-    if let Some(crossover) = margins.measured.and_then(|margins| margins.crossover_hz) {
-        lines.push(format!("crossover {crossover:.1} Hz"));
-    }
-    lines.extend(advice.iter().map(|advice| format!("advice: {}", advice.text)));
-    match ended {
-        Some(Ended::Stopped) => lines.push("stopped: only the frequencies measured so far are shown".into()),
-        Some(Ended::Alarm(reason) | Ended::Failed(reason)) => lines.push(format!("ended early: {reason}")),
-        None => {}
-    }
-    lines
-}
-
-/// Why a margin could not be stated, and what to do.
-fn why_not(measured: &Measured) -> String {
-    let cut = measured.estimates.iter().map(|estimate| estimate.limited).fold(0.0, f64::max);
-    if measured.estimates.iter().any(Estimate::is_cut) {
-        format!(
-            "not enough coherence: the valve's limits cut the sine for up to {:.0} % of the time: use a smaller --amplitude, or a higher --pip for more flow",
-            100.0 * cut
-        )
-    } else {
-        "not enough coherence: use more --breaths, or a larger --amplitude".into()
-    }
+    let advice = measured.advice.iter().map(|advice| format!("advice: {}", advice.text));
+    words::remarks(measured).into_iter().chain(advice).collect()
 }

@@ -1,6 +1,7 @@
 //! `trainer selftest`: runs and shows the self-test of a device.
 
 use anyhow::bail;
+use monitoring::ticks::Evenness;
 use serde::Serialize;
 use shared::device::self_test::{Check, Outcome, Report, Step, StepResult};
 use shared::timing::TickTimes;
@@ -132,12 +133,8 @@ fn rows(report: &Report) -> Vec<Row> {
 fn ticks(times: &TickTimes, period_us: u32) -> Vec<Row> {
     let row =
         |step, value: f32, unit| Row { step, result: "recorded", reason: None, value: Some(value), unit };
-    let off = |cycles: f32| times.microseconds(cycles) - period_us as f32;
-    let (shortest, longest) = (off(times.period.shortest as f32), off(times.period.longest as f32));
-    let jitter = longest.abs().max(shortest.abs());
-    let periods = times.period.longest > 0;
-    let recorded = periods.then(|| {
-        [row("tick bias", off(times.period.mean), Some("us")), row("tick jitter", jitter, Some("us"))]
+    let recorded = Evenness::of(times, period_us).map(|Evenness { bias_us, jitter_us }| {
+        [row("tick bias", bias_us, Some("us")), row("tick jitter", jitter_us, Some("us"))]
     });
     recorded.into_iter().flatten().chain([row("missed ticks", times.missed as f32, None)]).collect()
 }

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use show::report::{Plot, Role, Series, Style};
 
 use super::estimate::Estimate;
-use super::measure::Moments;
+use super::measurement::Moments;
 use super::response::ResponsePoint;
 use super::stability::RequiredMargins;
 
@@ -85,7 +85,10 @@ pub fn breath(moments: &[Moments]) -> [Plot; 2] {
         Plot::over_time(
             "The valve's effort",
             "command, percent",
-            vec![over("command", Style::Line, |at| at.command)],
+            vec![Series {
+                role: Some(Role::InspiratoryValve),
+                ..over("command", Style::Line, |at| at.command)
+            }],
         ),
     ]
 }

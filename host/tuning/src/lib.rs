@@ -6,12 +6,14 @@
 //!
 //! | module | contains |
 //! |---|---|
-//! | [`measure`] | the breaths: a warm-up, the check of the amplitude, the sweep |
+//! | [`measure`] | measures a unit that this program runs |
+//! | [`measurement`] | the breaths: a warm-up, the check of the amplitude, the sweep |
 //! | [`estimate`] | the response at a frequency, from the signals of its breaths |
 //! | [`interval`] | how sure the margins are |
 //! | [`stability`] | margins from a loop gain, also of the laboratory's measurements |
 //! | [`advice`] | what limits the loop, in words |
 //! | [`figures`] | Nyquist and Bode plots, and the breath beside them |
+//! | [`words`] | the result in rows and words |
 #![forbid(unsafe_code)]
 
 pub mod advice;
@@ -19,7 +21,9 @@ pub mod estimate;
 pub mod figures;
 pub mod interval;
 pub mod measure;
+pub mod measurement;
 pub mod response;
 pub mod stability;
 #[cfg(test)]
 mod tests;
+pub mod words;

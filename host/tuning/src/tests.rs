@@ -19,7 +19,8 @@ use shared::ventilator::Sample;
 use ventilator::{BenchSource, Source, SourceError, Tick};
 
 use crate::interval::{Finding, SureMargins};
-use crate::measure::{Ended, MeasureError, Measured, Plan, measure};
+use crate::measure::{MeasureError, measure};
+use crate::measurement::{Ended, Measured, Plan, PlanError};
 use crate::response::ResponsePoint;
 use crate::stability::Margins;
 
@@ -198,13 +199,15 @@ fn a_sine_without_room_is_refused_with_the_amplitude_that_is_allowed() {
         &Plan { settings: Settings { pip: 7.0, ..Plan::default().settings }, ..Plan::default() },
         &Progress::silent(),
     );
-    let Err(MeasureError::NoRoom { amplitude, low, allowed, .. }) = refused else { panic!("{refused:?}") };
+    let Err(MeasureError::Plan(PlanError::NoRoom { amplitude, low, allowed, .. })) = refused else {
+        panic!("{refused:?}")
+    };
     assert!(amplitude > allowed && allowed < low && allowed > 0.0, "{amplitude} {low} {allowed}");
     let amplitude = Plan { amplitude: 30.0, ..Plan::default() }.validate();
     assert!(amplitude.unwrap_err().to_string().contains("allowed are 0 to 20 %"));
     let short =
         Plan { settings: Settings { inspiratory_time: 0.5, ..Plan::default().settings }, ..Plan::default() };
-    assert!(matches!(short.validate(), Err(MeasureError::TooShort { .. })));
+    assert!(matches!(short.validate(), Err(PlanError::TooShort { .. })));
 }
 
 #[test]
@@ -239,7 +242,7 @@ fn a_valve_at_its_limits_gives_no_margins() {
     let controller = Controller::Pid(pid);
     let mut source = BenchSource::new(&config, controller, &plan.settings, DEFAULT_PERIOD_US, 1).unwrap();
     match measure(&mut source, &plan, &Progress::silent()) {
-        Err(MeasureError::NoRoom { .. }) => {}
+        Err(MeasureError::Plan(PlanError::NoRoom { .. })) => {}
         other => assert!(!other.unwrap().margins.suffices()),
     }
 }

@@ -14,7 +14,8 @@ use shared::explore::Exploration;
 use shared::explore::sines::SineSweep;
 use shared::settings::Settings;
 use tuning::interval::{Finding, Sure};
-use tuning::measure::{MeasureError, Measured, Plan, measure};
+use tuning::measure::{MeasureError, measure};
+use tuning::measurement::{Measured, Plan, PlanError};
 use tuning::stability::Margins;
 use ventilator::{BenchSource, Source, SourceError, Tick};
 
@@ -138,7 +139,7 @@ fn compare_one(
         let source = BenchSource::new(plant, controller.clone(), &plan.settings, period_us, plan.seed)?;
         let mut watched = Watched { source, window: plan.window(period_us), flow: Flow::default() };
         let measured = match measure(&mut watched, &plan, &Progress::silent()) {
-            Err(MeasureError::NoRoom { .. }) => continue,
+            Err(MeasureError::Plan(PlanError::NoRoom { .. })) => continue,
             other => other?,
         };
         let exact =

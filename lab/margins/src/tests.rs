@@ -15,7 +15,7 @@ use super::response::Process;
 use super::*;
 use crate::connected::{Agreement, Pair};
 use tuning::interval::{Finding, Sure};
-use tuning::measure::Plan;
+use tuning::measurement::Plan;
 use tuning::response::ResponsePoint;
 
 const PERIOD_S: f64 = 1e-3;

@@ -11,7 +11,7 @@ use margins::connected::{AGREES, Agreement, Compared, Pair, compare};
 use plant::bench::family::Family;
 use show::report::{Cell, Table};
 use tuning::interval::Finding;
-use tuning::measure::Plan;
+use tuning::measurement::Plan;
 
 /// Compare margins measured in breaths with those of the held bench
 #[derive(Debug, clap::Args)]

@@ -1,6 +1,7 @@
 //! One thread for each watched device: takes its news, sends messages to the pages, and pages' requests to the device. It never
 //! waits for a page.
 
+mod measure;
 mod reader;
 
 use std::collections::VecDeque;
@@ -16,7 +17,6 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use shared::link::messages::{Request, Response};
 use show::monitor::News;
 
-use crate::flight_recorder::content;
 use crate::metrics::Metrics;
 use crate::record::{Notice, Recorder};
 use crate::source::{Source, Watch};
@@ -27,7 +27,8 @@ use crate::stream::{
 use crate::trends::Trends;
 use crate::viewers::{Viewer, Viewers};
 use crate::watched::{DeviceNumbers, Out, Watched};
-use reader::{Next, RecorderReader};
+use measure::{Measured, RUNS};
+use reader::RecorderReader;
 
 /// Longest wait for news.
 const PATIENCE: Duration = Duration::from_millis(10);
@@ -183,6 +184,7 @@ struct Worker {
     /// The requests to start a recording, and those to end it, that the writer has not answered yet.
     starting: Vec<(Arc<Viewer>, u32)>,
     stopping: Vec<(Arc<Viewer>, u32)>,
+    measured: Measured,
     /// In the order in which they were sent.
     waiting: VecDeque<Waiting>,
     out: Vec<Out>,
@@ -222,6 +224,7 @@ impl Worker {
             records: None,
             starting: Vec::new(),
             stopping: Vec::new(),
+            measured: Measured::default(),
             waiting: VecDeque::new(),
             out: Vec::new(),
             framed: Instant::now(),
@@ -256,6 +259,7 @@ impl Worker {
             }
         }
         self.pass_notices();
+        self.send_margins();
         if self.framed.elapsed() >= FRAME_EVERY {
             self.framed = Instant::now();
             self.watched.flush(&mut self.out);
@@ -268,6 +272,7 @@ impl Worker {
         let (now, before) = (now_ms(), self.out.len());
         self.watched.take(news, now, &mut self.out);
         self.record(news, before, now);
+        self.measure_on(news);
         let gone = |out: &Out| {
             matches!(out, Out::Message(ToPage::Event { kind: EventKind::Lost | EventKind::Restarted, .. }))
         };
@@ -353,7 +358,8 @@ impl Worker {
         if let Some(history) = self.trends.history() {
             send(viewer, &ToPage::History { device: self.device, history });
         }
-        self.enclosed.iter().chain(&self.events).for_each(|message| viewer.send(Arc::clone(message)));
+        let known = self.enclosed.iter().chain(&self.measured.newest).chain(&self.events);
+        known.for_each(|message| viewer.send(Arc::clone(message)));
     }
 
     /// Sends what has been made.
@@ -383,6 +389,7 @@ impl Worker {
         }
         let now = now_ms();
         let state = self.watched.state(now, self.wheel.who(), self.recorder.info(), self.recorder.triggers());
+        let state = State { measuring: self.measured.info(), ..state };
         let unchanged = self.shown.as_ref().is_some_and(|(shown, _)| *shown == state);
         if unchanged && elapsed.is_some_and(|elapsed| elapsed < STATE_EVERY.1) {
             return;
@@ -403,6 +410,10 @@ impl Worker {
             FromPage::Take { take_over, .. } => match self.wheel.take(viewer.number, &viewer.who, *take_over)
             {
                 Ok(()) => {
+                    if !self.measured.is_of(viewer.number) {
+                        // Its page does not steer any more.
+                        self.stop_measuring();
+                    }
                     if *take_over {
                         // The page's user has confirmed it, also if another program steers past all pages.
                         let name = device::host_name();
@@ -452,6 +463,20 @@ impl Worker {
             let done = self.source.fault(*fault);
             return done.map_or_else(|why| refused(&why), |()| Some(Answer::done(id, "done")));
         }
+        match message {
+            FromPage::Measure { test_lung: false, .. } => {
+                return refused(&"confirm first that a test lung is connected, and no patient");
+            }
+            FromPage::Measure { sines, .. } => {
+                return self.measure(viewer, id, *sines).err().and_then(|why| refused(&why));
+            }
+            FromPage::StopMeasuring { .. } => {
+                self.stop_measuring();
+                return Some(Answer::done(id, "stopped"));
+            }
+            FromPage::Apply { .. } if self.measured.is_running() => return refused(&RUNS),
+            _ => {}
+        }
         // A change that waits for its answer must not be undone by the next one.
         let asked = self.waiting.iter().rev().find_map(|waiting| match &waiting.request {
             Request::ApplySettings(settings) => Some(settings),
@@ -470,46 +495,6 @@ impl Worker {
             id,
             if recorded { "marked" } else { "marked, but not in the recording: the disk is too slow" },
         )
-    }
-
-    /// Begins to read the flight recorder; an answer if that is not possible.
-    fn read_recorder(&mut self, viewer: &Arc<Viewer>, id: u32) -> Option<Answer> {
-        if self.reading.is_some() {
-            return Some(Answer::refused(Some(id), "the flight recorder is being read: try again soon"));
-        }
-        match self.source.ask(RecorderReader::FIRST) {
-            Ok(()) => {
-                self.reading = Some(RecorderReader::new(Arc::clone(viewer), id));
-                None
-            }
-            Err(why) => Some(Answer::refused(Some(id), why.to_string())),
-        }
-    }
-
-    /// Goes on reading the flight recorder with an answer of the device.
-    fn read_on(&mut self, request: &Request, result: &Result<Response, String>) {
-        let Some(next) = self.reading.as_mut().and_then(|reading| reading.take(request, result)) else {
-            return;
-        };
-        let failed = match next {
-            Next::Ask(request) => self.source.ask(request).err().map(|why| why.to_string()),
-            Next::Failed(reason) => Some(reason),
-            Next::Done(reading) => {
-                let Some(RecorderReader { viewer, id, .. }) = self.reading.take() else { return };
-                let blackbox = reading.finish(self.period_us);
-                let ticks = blackbox.fast.ticks().count() + blackbox.slow.ticks().count();
-                let read = format!("{ticks} ticks and {} events read", blackbox.log.len());
-                let recorder = Box::new(content(&blackbox));
-                send(&viewer, &ToPage::Recorder { device: self.device, recorder });
-                send(&viewer, &ToPage::Answer(Answer::done(id, read)));
-                return;
-            }
-        };
-        if let Some(reason) = failed
-            && let Some(RecorderReader { viewer, id, .. }) = self.reading.take()
-        {
-            send(&viewer, &ToPage::Answer(Answer::refused(Some(id), reason)));
-        }
     }
 
     /// Starts or ends a recording; an answer if that is not possible. The writer's report answers otherwise.
@@ -554,6 +539,7 @@ impl Worker {
     /// A page steers no longer; the device may be steered by another program then.
     fn release(&mut self, viewer: u64) {
         if self.wheel.release(viewer) {
+            self.stop_measuring();
             self.give_lease_back();
         }
     }

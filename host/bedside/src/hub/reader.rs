@@ -5,6 +5,9 @@ use std::sync::Arc;
 use device::blackbox::Reading;
 use shared::link::messages::{Request, Response};
 
+use super::{Worker, send};
+use crate::flight_recorder::content;
+use crate::stream::{Answer, ToPage};
 use crate::viewers::Viewer;
 
 /// What comes after an answer of the device.
@@ -57,6 +60,48 @@ impl RecorderReader {
             Some((None, reading)) => Next::Done(Box::new(reading)),
             None => Next::Failed("unexpected answer from the device".to_owned()),
         })
+    }
+}
+
+impl Worker {
+    /// Begins to read the flight recorder; an answer if that is not possible.
+    pub(super) fn read_recorder(&mut self, viewer: &Arc<Viewer>, id: u32) -> Option<Answer> {
+        if self.reading.is_some() {
+            return Some(Answer::refused(Some(id), "the flight recorder is being read: try again soon"));
+        }
+        match self.source.ask(RecorderReader::FIRST) {
+            Ok(()) => {
+                self.reading = Some(RecorderReader::new(Arc::clone(viewer), id));
+                None
+            }
+            Err(why) => Some(Answer::refused(Some(id), why.to_string())),
+        }
+    }
+
+    /// Goes on reading the flight recorder with an answer of the device.
+    pub(super) fn read_on(&mut self, request: &Request, result: &Result<Response, String>) {
+        let Some(next) = self.reading.as_mut().and_then(|reading| reading.take(request, result)) else {
+            return;
+        };
+        let failed = match next {
+            Next::Ask(request) => self.source.ask(request).err().map(|why| why.to_string()),
+            Next::Failed(reason) => Some(reason),
+            Next::Done(reading) => {
+                let Some(RecorderReader { viewer, id, .. }) = self.reading.take() else { return };
+                let blackbox = reading.finish(self.period_us);
+                let ticks = blackbox.fast.ticks().count() + blackbox.slow.ticks().count();
+                let read = format!("{ticks} ticks and {} events read", blackbox.log.len());
+                let recorder = Box::new(content(&blackbox));
+                send(&viewer, &ToPage::Recorder { device: self.device, recorder });
+                send(&viewer, &ToPage::Answer(Answer::done(id, read)));
+                return;
+            }
+        };
+        if let Some(reason) = failed
+            && let Some(RecorderReader { viewer, id, .. }) = self.reading.take()
+        {
+            send(&viewer, &ToPage::Answer(Answer::refused(Some(id), reason)));
+        }
     }
 }
 

@@ -5,6 +5,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::Sines;
+
 /// A text that must not reach a log.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(transparent)]
@@ -123,6 +125,24 @@ pub enum FromPage {
         /// The device.
         device: u8,
     },
+    /// Measure the margins of a device that ventilates a test lung.
+    Measure {
+        /// For the answer.
+        id: u32,
+        /// The device.
+        device: u8,
+        /// Whether a person has confirmed that a test lung is connected, and no patient.
+        test_lung: bool,
+        /// The sines to add to the command.
+        sines: Sines,
+    },
+    /// Stop measuring.
+    StopMeasuring {
+        /// For the answer.
+        id: u32,
+        /// The device.
+        device: u8,
+    },
     /// Inject a fault into a device of the demonstration.
     Fault {
         /// For the answer.
@@ -147,6 +167,8 @@ impl FromPage {
             | Self::Record { id, .. }
             | Self::Capture { id, .. }
             | Self::Recorder { id, .. }
+            | Self::Measure { id, .. }
+            | Self::StopMeasuring { id, .. }
             | Self::Fault { id, .. } => Some(*id),
             Self::Token { .. }
             | Self::Watch { .. }
@@ -168,6 +190,8 @@ impl FromPage {
             | Self::Record { device, .. }
             | Self::Capture { device, .. }
             | Self::Recorder { device, .. }
+            | Self::Measure { device, .. }
+            | Self::StopMeasuring { device, .. }
             | Self::Fault { device, .. }
             | Self::Take { device, .. }
             | Self::Release { device }

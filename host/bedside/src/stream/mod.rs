@@ -4,12 +4,14 @@
 mod figures;
 pub mod frame;
 mod from_page;
+mod margins;
 mod state;
 mod to_page;
 mod verdict;
 
 pub use figures::{BreathFigures, Course, History};
 pub use from_page::{DemoFault, FromPage, Secret, Triggers};
+pub use margins::{Chart, Choice, Curve, LoopAdvice, Margin, Margins, MeasureInfo, MeasuringInfo, Sines};
 pub use state::{Adaptation, AlarmInfo, Audio, LineInfo, Missing, RecordingInfo, State, Ticks};
 pub use to_page::{
     Answer, DeviceInfo, EventKind, FlightRecorder, Hello, Kind, Limits, LogLine, Recorded, SettingInfo,

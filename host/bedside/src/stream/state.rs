@@ -3,7 +3,7 @@
 use serde::Serialize;
 use shared::settings::Settings;
 
-use super::Triggers;
+use super::{MeasuringInfo, Triggers};
 
 /// The state of a device.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -42,6 +42,8 @@ pub struct State {
     pub steered_by: Option<String>,
     /// The program that holds the device's lease, in words; null if none does, or if that is unknown.
     pub lease: Option<String>,
+    /// The measurement of the margins that runs.
+    pub measuring: Option<MeasuringInfo>,
     /// Control ticks.
     pub ticks: Ticks,
     /// Losses on the way to the server.
@@ -108,6 +110,10 @@ pub struct Ticks {
     pub mean_us: Option<f32>,
     /// Longest duration, us; null for a device that does not measure it.
     pub worst_us: Option<f32>,
+    /// Distance of the mean period from the one that is meant, us; null for a device that does not measure it.
+    pub bias_us: Option<f32>,
+    /// Largest distance of a period, us; null for a device that does not measure it.
+    pub jitter_us: Option<f32>,
     /// Ticks that did not run.
     pub missed: u32,
 }

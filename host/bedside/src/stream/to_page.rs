@@ -5,7 +5,7 @@ use shared::device::annunciator::AUDIO_PAUSE_MAX;
 use shared::link::messages::DeviceKind;
 use shared::settings::{FIELDS, Settings};
 
-use super::{BreathFigures, History, State, Verdict};
+use super::{BreathFigures, History, Margins, MeasureInfo, State, Verdict};
 
 /// A text message to the page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -65,6 +65,14 @@ pub enum ToPage {
         #[serde(flatten)]
         verdict: Verdict,
     },
+    /// The margins of a device, when they are measured and when a page opens.
+    Margins {
+        /// The device.
+        device: u8,
+        /// The result.
+        #[serde(flatten)]
+        margins: Box<Margins>,
+    },
     /// The content of a flight recorder, when a page opens or asks for it.
     Recorder {
         /// The device.
@@ -98,6 +106,8 @@ pub struct Hello {
     pub settings: Vec<SettingInfo>,
     /// Limits of requests.
     pub limits: Limits,
+    /// What a measurement of the margins may ask for; null if none can be made here.
+    pub measure: Option<MeasureInfo>,
     /// The devices.
     pub devices: Vec<DeviceInfo>,
 }
@@ -305,6 +315,7 @@ mod tests {
             demo: false,
             settings: SettingInfo::all(),
             limits: Limits::default(),
+            measure: None,
             devices: vec![],
         };
         let hello = value(&ToPage::Hello(hello));

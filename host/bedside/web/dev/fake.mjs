@@ -32,12 +32,17 @@ export const SETTINGS = [
   setting("minute_volume_high", "L/min", 0, 60, 0, "Expired minute volume above which an alarm is raised, 0 for none"),
 ];
 
+const choice = (min, max, usual) => ({ min, max, default: usual });
+const MEASURE = { amplitude: choice(Math.fround(0.1), 20, 10), frequencies: choice(8, 40, 20), breaths: choice(5, 24, 6), warm_up: 6, ramp_s: 1 };
+
 class FakeDevice {
   constructor(id, name, lung) {
     Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true, triggers: null, mode: null, safeState: false, pausing: true, mute: false, adaptation: lung.learned ? { breaths: 2, of: 4, last: "adopted" } : null, untold: false, testing: false, kind: "simulated" });
     this.settings = Object.fromEntries(SETTINGS.map((one) => [one.name, one.default]));
     this.ventilating = true;
     this.verdict = null;
+    this.margins = null;
+    this.measuring = null;
     this.history = null;
     this.begin = Date.now() - Math.random() * 3000;
   }
@@ -51,8 +56,8 @@ class FakeDevice {
       missing: this.connected ? null : "line", mode: this.mode ?? (this.ventilating ? "ventilating" : "standby"), ventilating: this.ventilating, safe_state: this.safeState, controller: learned ? "learned" : "PID 3,4,0",
       level: learned ? "learned" : "pid", distrust: this.alarms.filter((alarm) => alarm.present).map((alarm) => alarm.text), adaptation: this.adaptation, settings: this.untold ? null : this.settings, pending: null,
       alarms: this.alarms, audio: { priority, pause_left: Math.max(0, Math.ceil((this.pauseEnd - Date.now()) / 1000)) },
-      steered_by: this.steerer ? "a browser tab" : null, ticks: { mean_us: 14.8, worst_us: 21, missed: 0 },
-      line: { corrupt: 0, lost_batches: 0, dropped: 0 }, lease: null, triggers: this.triggers, recording: this.recording,
+      steered_by: this.steerer ? "a browser tab" : null, ticks: { mean_us: 14.8, worst_us: 21, bias_us: 0.05, jitter_us: 0.62, missed: 0 },
+      line: { corrupt: 0, lost_batches: 0, dropped: 0 }, lease: null, triggers: this.triggers, recording: this.recording, measuring: this.measuring,
     };
   }
 }
@@ -120,6 +125,13 @@ export class Fake {
     this.states();
   }
 
+  /** Ends a measurement with a result, as the server does. */
+  measured(device, result) {
+    Object.assign(this.devices[device], { measuring: null, margins: result });
+    this.all({ type: "margins", device, ...result });
+    this.states();
+  }
+
   clear(device) {
     this.devices[device].alarms = [];
     this.states();
@@ -143,11 +155,12 @@ export class Fake {
   greet(socket) {
     socket.served = true;
     const devices = this.devices.map(({ id, name, kind }) => ({ id, name, kind, period_us: 1000 }));
-    this.send(socket, { type: "hello", version: 1, steer: this.steer, record: this.record, demo: this.demo, settings: SETTINGS, limits: { audio_pause_s: 120, large_change: 5 }, devices });
+    this.send(socket, { type: "hello", version: 1, steer: this.steer, record: this.record, demo: this.demo, settings: SETTINGS, limits: { audio_pause_s: 120, large_change: 5 }, measure: MEASURE, devices });
     for (const device of this.devices) {
       this.send(socket, device.state());
       if (device.history) this.send(socket, { type: "history", device: device.id, ...device.history });
       if (device.verdict) this.send(socket, { type: "verdict", device: device.id, ...device.verdict });
+      if (device.margins) this.send(socket, { type: "margins", device: device.id, ...device.margins });
     }
   }
 
@@ -205,6 +218,8 @@ export class Fake {
       case "record": device.recording = message.on ? { file: "bench-1.parquet", samples: 0, lost: 0 } : null; return message.on ? "Recording." : "Recording ended.";
       case "capture": device.triggers = Object.keys(message.triggers).length > 0 ? message.triggers : null; return device.triggers ? "Capture armed." : "Disarmed.";
       case "recorder": this.all({ type: "recorder", device: device.id, ...recorder() }); return "5000 ticks and 2 events read";
+      case "measure": device.measuring = { breath: 6, breaths: 126, by: "a browser tab" }; return "the measurement has begun";
+      case "stop_measuring": device.measuring = null; return "stopped";
       case "fault": return this.fault(device, message.fault);
       default: return "";
     }

@@ -109,6 +109,7 @@ class App {
       case "history": device?.trends.load(message); break;
       case "verdict": if (device) device.verdict = message; break;
       case "recorder": if (device) device.recorder = message; break;
+      case "margins": if (device) device.margins = message; break;
       case "steerer": if (device) device.yours = message.yours;
     }
     this.updateIfDue();
@@ -140,6 +141,7 @@ class App {
     this.head.describe(this.devices);
     this.wall.describe(this.devices);
     this.bedside.steer.describe(hello.settings, hello.large_change);
+    this.bedside.describe(hello.measure);
     this.audio.longest = hello.audio_pause_max;
     show(this.demo.element, hello.demo);
     const [only] = this.devices;

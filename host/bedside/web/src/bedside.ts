@@ -7,10 +7,12 @@ import { Loops } from "./loops";
 import { Numbers } from "./numbers";
 import { Record } from "./record";
 import type { Requests } from "./requests";
+import type { Measure } from "./stream";
 import { Steer } from "./steer";
 import { SWEEPS } from "./sweep";
 import { type Tab, Tabs } from "./tabs";
 import { TrendCharts } from "./trends_view";
+import { Tuning } from "./tuning";
 import { VerdictPanel } from "./verdict_view";
 import { Waves } from "./waves";
 
@@ -24,6 +26,7 @@ export class Bedside {
   private readonly trends = new TrendCharts();
   private readonly alarms = new AlarmList();
   private readonly verdict = new VerdictPanel();
+  private readonly tuning: Tuning;
   private readonly tabs: Tabs;
   private readonly tools: HTMLElement;
   private readonly freezeButton = button("Freeze", () => this.freeze(), { "aria-pressed": "false", class: "freeze" });
@@ -31,16 +34,24 @@ export class Bedside {
   private readonly note = h("span", { class: "note", role: "status" });
   private readonly sweeps: HTMLButtonElement[];
   private device: Device | null = null;
+  private canMeasure = false;
 
   constructor(requests: Requests, send: (message: object) => boolean, extra: HTMLElement) {
     this.steer = new Steer(requests, send);
     this.record = new Record(requests);
+    this.tuning = new Tuning(requests);
     this.tabs = new Tabs(this.pages());
     this.sweeps = SWEEPS.map((seconds) => button(`${seconds} s`, () => this.setSeconds(seconds), { "aria-pressed": "false", "data-seconds": String(seconds) }));
     const sweeps = h("div", { class: "sweeps", role: "group", "aria-label": "Length of the sweep" }, ...this.sweeps);
     this.tools = h("div", { class: "tools", role: "group", "aria-label": "Tools" }, this.freezeButton, sweeps, this.referenceButton, extra, this.note);
     this.element = h("div", { class: "bedside" }, this.waves.element, this.tabs.element, this.numbers.element, this.tools);
     this.setSeconds(12);
+  }
+
+  /** `measure` is what a measurement may ask for; null if none can be made. */
+  describe(measure: Measure | null): void {
+    this.tuning.describe(measure);
+    this.canMeasure = measure !== null;
   }
 
   setDevice(device: Device): void {
@@ -65,6 +76,8 @@ export class Bedside {
     this.steer.update(device, mayEver.steer);
     this.record.update(device, mayEver.record);
     this.verdict.update(device);
+    this.tuning.update(device, mayEver.steer);
+    this.tabs.offer("tuning", this.canMeasure && !device.replay);
     this.tabs.offer("verdict", device.verdict !== null);
     this.waves.cover(cover);
     this.element.classList.toggle("stale", cover !== null);
@@ -126,6 +139,7 @@ export class Bedside {
       { id: "alarms", text: "Alarms", content: this.alarms.element },
       { id: "settings", text: "Settings", content: this.steer.element },
       { id: "record", text: "Record", content: this.record.element },
+      { id: "tuning", text: "Tuning", content: this.tuning.element },
       { id: "verdict", text: "Verdict", content: this.verdict.element },
     ];
   }

@@ -4,7 +4,7 @@ import { deviceLost, lacks, noData } from "./alarms";
 import { Reference } from "./reference";
 import { KEPT_S, Ring } from "./ring";
 import { type Marker, MARKERS } from "./markers";
-import type { Alarm, Breath, DeviceInfo, Event, FlightRecorder, Samples, State, Verdict } from "./stream";
+import type { Alarm, Breath, DeviceInfo, Event, FlightRecorder, Margins, Samples, State, Verdict } from "./stream";
 import { Trends } from "./trends";
 
 /**
@@ -36,6 +36,8 @@ export class Device {
   verdict: Verdict | null = null;
   /** The content of its flight recorder, once that was read. */
   recorder: FlightRecorder | null = null;
+  /** Its margins, once they are measured. */
+  margins: Margins | null = null;
   /** Whether this page wants the samples. */
   watched = false;
   /** Whether this page steers it. */

@@ -57,6 +57,8 @@ const GROUPS: [string, string, Tile[]][] = [
   ["Tick and line", "line", [
     { label: "Tick, mean", unit: "us", text: (_, state) => fixed(state?.ticks.mean_us ?? null, 1) },
     { label: "Tick, worst", unit: "us", text: (_, state) => fixed(state?.ticks.worst_us ?? null, 0) },
+    { label: "Tick bias", unit: "us", text: (_, state) => fixed(state?.ticks.bias_us ?? null, 2) },
+    { label: "Tick jitter", unit: "us", text: (_, state) => fixed(state?.ticks.jitter_us ?? null, 2) },
     { label: "Missed", unit: "ticks", text: (_, state) => (state?.ticks.missed == null ? UNKNOWN : count(state.ticks.missed)) },
     { label: "Damaged", unit: "frames", text: (_, state) => (state ? count(state.line.corrupt) : UNKNOWN) },
     { label: "Lost", unit: "batches", text: (_, state) => (state ? count(state.line.lost_batches) : UNKNOWN) },

@@ -44,7 +44,15 @@ export interface Hello {
   audio_pause_max: number;
   /** A change of a pressure by more than this needs a confirmation, cmH2O. */
   large_change: number;
+  /** What a measurement of the margins may ask for; null if none can be made. */
+  measure: Measure | null;
 }
+
+/** Bounds and default of a number. */
+export interface Choice { min: number; max: number; default: number }
+
+/** What a measurement of the margins may ask for: amplitude, percent; breaths before the first sine; and the length of its ramps, s. */
+export interface Measure { amplitude: Choice; frequencies: Choice; breaths: Choice; warm_up: number; ramp_s: number }
 
 export interface Alarm {
   id: string;
@@ -78,9 +86,12 @@ export interface State {
   alarms: Alarm[];
   audio: { priority: Priority | null; pause_left: number };
   steered_by: string | null;
-  ticks: { mean_us: number | null; worst_us: number | null; missed: number | null };
+  /** Times of the control ticks: work, and distance of their period from the one that is meant. */
+  ticks: { mean_us: number | null; worst_us: number | null; bias_us: number | null; jitter_us: number | null; missed: number | null };
   line: { corrupt: number; lost_batches: number; dropped: number };
   recording: Recording | null;
+  /** The measurement of the margins that runs. */
+  measuring: Measuring | null;
   /** The program that steers the device past this server, in words. */
   lease: string | null;
   /** The armed triggers of a capture; null if none is armed or the server does not tell. */
@@ -89,6 +100,9 @@ export interface State {
 
 /** A running recording: `by` is the page that started it, `lost` counts the samples for which the disk was too slow. */
 export interface Recording { file: string; samples: number; lost: number; by: string | null }
+
+/** A running measurement: breaths so far and in all, and the page that started it. */
+export interface Measuring { breath: number; breaths: number; by: string | null }
 
 /** The breaths that the learned controller remembers, the number after which it has adapted, and what became of the last one. */
 export interface Adaptation { breaths: number; of: number; last: string }
@@ -131,7 +145,24 @@ export interface LogLine { start: number; seconds: number; text: string }
 export interface Recorded { time: number[]; pressure: (number | null)[]; target: (number | null)[]; u_in: (number | null)[]; u_out: (number | null)[] }
 /** The content of a flight recorder: its events, oldest first, and for a connected device its ticks. */
 export interface FlightRecorder { type: "recorder"; device: number; events: LogLine[]; fast: Recorded | null; slow: Recorded | null }
-export type Message = Hello | State | Breath | Steerer | Answer | Event | History | Verdict | FlightRecorder;
+
+/** A margin: its value is null if it is not stated, and `unstated` is the reason; `high` is null beyond the measured frequencies. */
+export interface Margin {
+  name: string; unit: string; value: number | null; unstated: string | null; low: number | null; high: number | null;
+  decimals: number; robust: string; keeps: boolean | null;
+}
+/** A curve: what it stands for, as in the names of the colours, and points in the order in which they are joined. */
+export interface Curve { name: string; role: string; dashed: boolean; x: number[]; y: (number | null)[] }
+/** A figure; `square` are the ends of both axes of one whose circles are round. */
+export interface Chart {
+  title: string; x_label: string; y_label: string; log_x: boolean; log_y: boolean; square: [number, number] | null; curves: Curve[];
+}
+/** The margins of a device. */
+export interface Margins {
+  type: "margins"; device: number; time_ms: number; refused: string | null; controller: string; amplitude: number;
+  margins: Margin[]; remarks: string[]; advice: { cause: string; text: string }[]; charts: Chart[];
+}
+export type Message = Margins | Hello | State | Breath | Steerer | Answer | Event | History | Verdict | FlightRecorder;
 
 /** Samples of one device, columns of equal length. */
 export interface Samples {
@@ -202,6 +233,7 @@ export function decodeText(text: string): Message | null {
     };
     case "history": return history(value);
     case "verdict": return verdict(value);
+    case "margins": return margins(value);
     case "recorder": return {
       type: "recorder", device: number(value.device) ?? 0, fast: recorded(value.fast), slow: recorded(value.slow),
       events: list(value.events).map((one) => ({ start: number(one.start) ?? 0, seconds: number(one.seconds) ?? 0, text: string(one.text) })),
@@ -262,6 +294,19 @@ function hello(value: Loose): Hello {
     // Without a limit there is no pause, and each change is confirmed.
     audio_pause_max: number(limits.audio_pause_s) ?? 0,
     large_change: number(limits.large_change) ?? 0,
+    measure: measure(value.measure),
+  };
+}
+
+function measure(value: unknown): Measure | null {
+  if (!isObject(value)) return null;
+  const choice = (of: unknown): Choice => {
+    const { min, max, default: usual } = object(of);
+    return { min: number(min) ?? 0, max: number(max) ?? 0, default: number(usual) ?? 0 };
+  };
+  return {
+    amplitude: choice(value.amplitude), frequencies: choice(value.frequencies), breaths: choice(value.breaths),
+    warm_up: number(value.warm_up) ?? 0, ramp_s: number(value.ramp_s) ?? 0,
   };
 }
 
@@ -296,9 +341,13 @@ function state(value: Loose): State | null {
     alarms: list(value.alarms).map(alarm),
     audio: { priority: priority(audio.priority), pause_left: number(audio.pause_left) ?? 0 },
     steered_by: textOrNull(value.steered_by),
-    ticks: { mean_us: number(ticks.mean_us), worst_us: number(ticks.worst_us), missed: number(ticks.missed) },
+    ticks: {
+      mean_us: number(ticks.mean_us), worst_us: number(ticks.worst_us), bias_us: number(ticks.bias_us), jitter_us: number(ticks.jitter_us),
+      missed: number(ticks.missed),
+    },
     line: { corrupt: number(line.corrupt) ?? 0, lost_batches: number(line.lost_batches) ?? 0, dropped: number(line.dropped) ?? 0 },
     recording: recording(value.recording),
+    measuring: measuring(value.measuring),
     lease: textOrNull(value.lease),
     triggers: triggers(value.triggers),
   };
@@ -307,6 +356,11 @@ function state(value: Loose): State | null {
 function recording(value: unknown): Recording | null {
   if (!isObject(value)) return null;
   return { file: string(value.file), samples: number(value.samples) ?? 0, lost: number(value.lost) ?? 0, by: textOrNull(value.by) };
+}
+
+function measuring(value: unknown): Measuring | null {
+  if (!isObject(value)) return null;
+  return { breath: number(value.breath) ?? 0, breaths: number(value.breaths) ?? 0, by: textOrNull(value.by) };
 }
 
 function adaptation(value: unknown): Adaptation | null {
@@ -363,6 +417,35 @@ function verdict(value: Loose): Verdict {
       worst: number(one.worst), worst_breath: number(one.worst_breath),
     })),
     sore_spots: Array.isArray(value.sore_spots) ? value.sore_spots.map(string) : [],
+  };
+}
+
+function margins(value: Loose): Margins {
+  const texts = (of: unknown) => (Array.isArray(of) ? of.map(string) : []);
+  return {
+    type: "margins", device: number(value.device) ?? 0, time_ms: number(value.time_ms) ?? 0, refused: textOrNull(value.refused),
+    controller: string(value.controller), amplitude: number(value.amplitude) ?? 0,
+    margins: list(value.margins).map((one) => ({
+      name: string(one.name), unit: string(one.unit), value: number(one.value), unstated: textOrNull(one.unstated),
+      low: number(one.low), high: number(one.high), decimals: number(one.decimals) ?? 2, robust: string(one.robust),
+      keeps: typeof one.keeps === "boolean" ? one.keeps : null,
+    })),
+    remarks: texts(value.remarks),
+    advice: list(value.advice).map(({ cause, text }) => ({ cause: string(cause), text: string(text) })),
+    charts: list(value.charts).map(chart),
+  };
+}
+
+function chart(value: Loose): Chart {
+  const [low, high] = numbers(value.square);
+  return {
+    title: string(value.title), x_label: string(value.x_label), y_label: string(value.y_label),
+    log_x: value.log_x === true, log_y: value.log_y === true, square: low == null || high == null ? null : [low, high],
+    curves: list(value.curves).map(({ name, role, dashed, x, y }) => {
+      const values = numbers(y);
+      const known = numbers(x).flatMap((one, place) => (one === null ? [] : [[one, values[place] ?? null] as const]));
+      return { name: string(name), role: string(role), dashed: dashed === true, x: known.map(([one]) => one), y: known.map(([, one]) => one) };
+    }),
   };
 }
 
