@@ -14,6 +14,9 @@ use tuning::measurement::{Ended, Measurement, Plan, PlanError};
 /// Breaths from the newest known one to the first of the measurement: by then the device has its settings.
 const AHEAD: u32 = 4;
 
+/// Why a measurement ends if the device restarts.
+pub const RESTARTED: &str = "the device has started again";
+
 /// What is waited for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
@@ -108,7 +111,7 @@ impl Measuring {
     /// Takes a piece of news.
     pub fn take(&mut self, news: &News) -> Option<Next> {
         match news {
-            News::Lost(reason) => Some(self.left(reason.clone())),
+            News::Lost(reason) => Some(Next::Over(self.leave(reason))),
             News::Event(Event::Alarm { fault, .. }) => self.alarmed(*fault),
             News::Event(Event::Telemetry(batch)) if self.stage == Stage::Breaths => {
                 self.listen(batch).map(Next::Over)
@@ -128,8 +131,8 @@ impl Measuring {
     }
 
     /// The end of a measurement whose device must not get the settings of before: it has others, or is not there.
-    fn left(&self, reason: String) -> Next {
-        Next::Over(Over { undo: Vec::new(), ..self.end(Ended::Failed(reason)) })
+    pub fn leave(&self, reason: &str) -> Over {
+        Over { undo: Vec::new(), ..self.end(Ended::Failed(reason.to_owned())) }
     }
 
     /// The device ends the sines at any alarm but that of a leak.
@@ -174,14 +177,14 @@ impl Measuring {
             _ => None,
         };
         if mode.is_some_and(|mode| mode != Mode::Ventilating) {
-            return Some(self.left("the ventilation was stopped".to_owned()));
+            return Some(Next::Over(self.leave("the ventilation was stopped")));
         }
         let wanted = self.measurement.plan().settings;
         match response {
             Response::Settings { in_force, pending }
                 if self.measurement.breaths() > 0 && pending.unwrap_or(*in_force) != wanted =>
             {
-                Some(self.left("somebody else has changed the settings".to_owned()))
+                Some(Next::Over(self.leave("another program has changed the settings")))
             }
             _ => None,
         }
@@ -198,8 +201,7 @@ impl Measuring {
                 if self.measurement.breaths() == 0 {
                     continue;
                 }
-                let why = "the device has started again".to_owned();
-                return Some(Over { undo: Vec::new(), ..self.end(Ended::Failed(why)) });
+                return Some(self.leave(RESTARTED));
             }
             if sample.breath == awaited + 1 && !self.samples.is_empty() {
                 let samples = std::mem::take(&mut self.samples);

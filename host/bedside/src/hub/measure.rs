@@ -10,7 +10,7 @@ use tuning::measurement::Ended;
 
 use super::{Worker, now_ms, send};
 use crate::margins::{margins, plan};
-use crate::measuring::{Measuring, Next, Over};
+use crate::measuring::{Measuring, Next, Over, RESTARTED};
 use crate::stream::{Answer, Margins, MeasuringInfo, Sines, ToPage};
 use crate::viewers::Viewer;
 
@@ -20,7 +20,7 @@ pub(super) const RUNS: &str = "a measurement of the margins is running: wait for
 const REMAIN: &str =
     "the settings of the measurement remain on the device: check them before it ventilates on";
 /// Told if it could.
-const RESTORED: &str = "the device has got the settings of before again";
+const RESTORED: &str = "the device gets the settings of before again";
 
 /// The measurement of a device.
 pub(super) struct PageMeasuring {
@@ -67,8 +67,11 @@ impl Worker {
     /// # Errors
     /// Why it cannot begin.
     pub(super) fn measure(&mut self, viewer: &Arc<Viewer>, id: u32, sines: Sines) -> Result<(), String> {
-        if self.measured.is_running() {
+        if self.measured.is_running() || self.measured.computed.is_some() {
             return Err(RUNS.to_owned());
+        }
+        if self.waiting.iter().any(|waiting| matches!(waiting.request, Request::ApplySettings(_))) {
+            return Err("the settings are being changed: try again".to_owned());
         }
         let newest = self.watched.newest_breath().filter(|_| self.watched.is_sampled());
         let (Some(before), Some(newest)) = (self.watched.settings().copied(), newest) else {
@@ -115,13 +118,21 @@ impl Worker {
         }
     }
 
+    /// Ends the measurement under way, if there is one, of a device that has restarted.
+    pub(super) fn leave_measuring(&mut self) {
+        if let Some(running) = &self.measured.running {
+            let over = running.measuring.leave(RESTARTED);
+            self.finish_measuring(over);
+        }
+    }
+
     fn finish_measuring(&mut self, over: Over) {
         let Some(running) = self.measured.running.take() else { return };
         let PageMeasuring { viewer, id, controller, measuring } = running;
         let measurement = measuring.into_measurement();
         let nothing = over.nothing(&measurement);
         if let Some(id) = id {
-            let why = nothing.clone().unwrap_or_else(|| RUNS.to_owned());
+            let why = nothing.clone().unwrap_or_default();
             send(&viewer, &ToPage::Answer(Answer::refused(Some(id), why)));
         }
         let Over { ended, undo, .. } = over;

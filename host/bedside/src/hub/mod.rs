@@ -276,9 +276,12 @@ impl Worker {
         let gone = |out: &Out| {
             matches!(out, Out::Message(ToPage::Event { kind: EventKind::Lost | EventKind::Restarted, .. }))
         };
-        if self.out[before..].iter().any(gone) && self.wheel.free() {
-            // The form on that page shows settings from before: an apply would restore them.
-            self.give_lease_back();
+        if self.out[before..].iter().any(gone) {
+            self.leave_measuring();
+            if self.wheel.free() {
+                // The form on that page shows settings from before: an apply would restore them.
+                self.give_lease_back();
+            }
         }
         let News::Answer { request, result } = news else { return };
         self.meet();

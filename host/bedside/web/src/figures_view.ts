@@ -55,17 +55,23 @@ export class Figures {
   }
 }
 
-/** The colour of a curve: that of what it stands for, or the next one. */
-function hue({ role, dashed }: Curve, place: number): string {
-  if (["target", "pressure", "valve", "limit"].includes(role)) return colour(`--${role}`);
-  return colour(dashed ? "--reference" : (OTHERS[place % OTHERS.length] ?? "--flow"));
+/** The colours of curves: of what they stand for, or the next one. */
+function hues(curves: readonly Curve[]): string[] {
+  const others = curves.filter((curve) => named(curve) === null);
+  return curves.map((curve) => colour(named(curve) ?? OTHERS[others.indexOf(curve) % OTHERS.length] ?? "--flow"));
+}
+
+function named({ role, dashed }: Curve): string | null {
+  if (["target", "pressure", "valve", "limit"].includes(role)) return `--${role}`;
+  return dashed ? "--reference" : null;
 }
 
 function options({ x_label, y_label, log_x, log_y, curves }: Chart): uPlot.Options {
   const value = (digits: number) => (_: uPlot, one: number | null) => fixed(one, digits);
   const whole = (_: uPlot, low: number | null, high: number | null): [number, number] => [low ?? 1, high ?? 10];
+  const colours = hues(curves);
   const [unit = ""] = x_label.split(", ").slice(1);
-  const y: uPlot.Scale = log_y ? { distr: 3, range: whole } : { range: (_, low, high) => [Math.min(low ?? 0, 0), Math.max(high ?? 0, 0, 1)] };
+  const y: uPlot.Scale = log_y ? { distr: 3, range: whole } : { range: (_, low, high) => [Math.min((low ?? 0) * 1.05, 0), Math.max((high ?? 0) * 1.05, 0)] };
   return {
     width: ROUND,
     height: HEIGHT,
@@ -75,7 +81,7 @@ function options({ x_label, y_label, log_x, log_y, curves }: Chart): uPlot.Optio
     series: [
       { label: unit, value: value(2) },
       ...curves.map((curve, place) => ({
-        label: curve.name, stroke: hue(curve, place), width: 1.5, value: value(2), points: { show: log_x, size: 4 },
+        label: curve.name, stroke: colours[place] ?? "", width: 1.5, value: value(2), points: { show: log_x, size: 4 },
         ...(curve.dashed ? { dash: DASHES } : {}),
       })),
     ],
@@ -105,14 +111,16 @@ const decades = {
 class Round {
   private readonly canvas = document.createElement("canvas");
   private readonly frame: Frame;
+  private readonly hues: string[];
 
   constructor(private readonly chart: Chart, private readonly ends: [number, number], host: HTMLElement) {
     this.canvas.className = "layer";
+    this.hues = hues(chart.curves);
     this.frame = new Frame(host, { label: chart.y_label, bottom: "", space: 30 }, this.canvas);
     this.frame.setScale(ends, ends);
     const entry = (curve: Curve, place: number) => {
       const line = h("i", { class: "line" });
-      line.style.borderTop = `2px ${curve.dashed ? "dashed" : "solid"} ${hue(curve, place)}`;
+      line.style.borderTop = `2px ${curve.dashed ? "dashed" : "solid"} ${this.hues[place]}`;
       return h("li", {}, line, ` ${curve.name}`);
     };
     host.append(h("ul", { class: "round-legend", "aria-hidden": "true" }, ...chart.curves.map(entry)));
@@ -124,8 +132,12 @@ class Round {
 
   resize(size: number): void {
     this.frame.resize(size, size);
-    // uPlot sizes the area between the axes after this call.
-    requestAnimationFrame(() => this.draw());
+    // uPlot sizes the area between the axes after this call. That area is square, not the figure.
+    requestAnimationFrame(() => {
+      const [width, height] = this.frame.inner;
+      this.frame.resize(size, size + width - height);
+      requestAnimationFrame(() => this.draw());
+    });
   }
 
   private draw(): void {
@@ -146,7 +158,7 @@ class Round {
       for (const [point, x] of curve.x.entries()) context.lineTo(across(x), down(curve.y[point] ?? Number.NaN));
       context.setLineDash(curve.dashed ? DASHES : []);
       context.lineWidth = curve.dashed ? 1.25 : 2;
-      context.strokeStyle = hue(curve, place);
+      context.strokeStyle = this.hues[place] ?? "";
       context.stroke();
     }
     // The point that a robust loop stays away from.

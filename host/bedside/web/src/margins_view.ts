@@ -41,18 +41,17 @@ function content(result: Margins): HTMLElement[] {
 }
 
 function table(margins: readonly Margin[]): HTMLElement {
-  const heads = ["Margin", "Value", "95 %", "Robust"].map((text) => h("th", { scope: "col" }, text));
+  const heads = ["Margin", "Value, 95 %", "Robust"].map((text) => h("th", { scope: "col" }, text));
   const rows = margins.map((one) => h(
     "tr", { "data-violated": String(one.keeps === false) },
     h("th", { scope: "row" }, words(one.name), ...(one.unit === "" ? [] : [h("small", {}, one.unit)])),
-    h("td", {}, ...(one.value === null ? [h("small", { class: "unstated" }, one.unstated ?? "")] : [fixed(one.value, one.decimals)])),
-    h("td", {}, interval(one)),
+    h("td", {}, one.value === null ? (one.unstated ?? "") : fixed(one.value, one.decimals), ...interval(one).map((text) => h("small", {}, text))),
     h("td", {}, one.robust, ...(one.keeps === null ? [] : [h("small", {}, one.keeps ? "kept" : "not kept")])),
   ));
   return h("table", { class: "limits" }, h("thead", {}, h("tr", {}, ...heads)), h("tbody", {}, ...rows));
 }
 
-function interval({ low, high, decimals }: Margin): string {
-  if (low === null) return "";
-  return high === null ? `from ${fixed(low, decimals)}` : `${fixed(low, decimals)} to ${fixed(high, decimals)}`;
+function interval({ low, high, decimals }: Margin): string[] {
+  if (low === null) return [];
+  return [high === null ? `from ${fixed(low, decimals)}` : `${fixed(low, decimals)} to ${fixed(high, decimals)}`];
 }

@@ -40,7 +40,7 @@ export class Tuning {
     });
     this.form = h("form", { novalidate: true, onsubmit: (event) => { event.preventDefault(); void this.begin(); } },
       ...rows, h("div", { class: "row" }, this.start, this.stop));
-    this.element.append(this.status, this.bar, this.result, this.form, this.why, this.view.element);
+    this.element.append(this.status, this.bar, this.form, this.why, this.result, this.view.element);
   }
 
   /** Takes the bounds of the server's greeting. */

@@ -7,6 +7,7 @@ import { createRequire } from "node:module";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { Fake } from "../dev/fake.mjs";
+import { result } from "../dev/margins.mjs";
 import { drawn, launch, missing, open, SCREENS, SHOTS, until, WHOLE } from "./browser.mjs";
 
 const AXE = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -71,7 +72,7 @@ for (const [screen, options] of Object.entries(SCREENS)) {
       // Two breaths make a loop with the one before it.
       await until(page, (known) => window.eupnea.devices[1].breath.number > known + 1, await page.evaluate(() => window.eupnea.devices[1].breath.number));
       await check(page, `loops-${screen}`);
-      for (const tab of ["Trends", "Alarms", "Settings", "Record"]) {
+      for (const tab of ["Trends", "Alarms", "Settings", "Record", "Tuning"]) {
         await open_(tab);
         if (tab === "Settings") {
           await page.getByRole("button", { name: "Take control" }).click();
@@ -80,6 +81,11 @@ for (const [screen, options] of Object.entries(SCREENS)) {
         if (tab === "Record") {
           await page.getByRole("button", { name: "Read the flight recorder" }).click();
           await until(page, () => document.querySelectorAll(".record .chart canvas").length === 4);
+        }
+        if (tab === "Tuning") {
+          fake.measured(1, result());
+          await until(page, () => document.querySelectorAll(".margins .chart .uplot").length === 5);
+          await drawn(page);
         }
         await check(page, `${tab.toLowerCase()}-${screen}`);
       }
