@@ -28,6 +28,8 @@ export class Tuning {
   private readonly view = new MarginsView();
   private device: Device | null = null;
   private measure: Measure | null = null;
+  /** Whether a measurement ran at the last update. */
+  private runs = false;
 
   constructor(private readonly requests: Requests) {
     this.fields = NAMES.map((name) => ({
@@ -55,9 +57,10 @@ export class Tuning {
 
   /** `mayEver` tells whether the server lets any page steer. */
   update(device: Device, mayEver: boolean): void {
-    if (this.device !== device) setText(this.result, "");
-    this.device = device;
     const measuring = device.state?.measuring ?? null;
+    // The result tells the rest.
+    if (this.device !== device || (this.runs && measuring === null)) setText(this.result, "");
+    [this.device, this.runs] = [device, measuring !== null];
     setText(this.status, measuring ? progress(measuring, device) : device.margins ? "" : "The margins of this device are not measured yet.");
     show(this.status, this.status.textContent !== "");
     show(this.bar, measuring !== null);

@@ -129,6 +129,28 @@ test("a simulated device: start, waveforms, settings round trip, marker, flight 
   await page.getByRole("button", { name: "Start ventilation" }).waitFor();
 }));
 
+// 46 breaths of 1.5 s, and those until they begin.
+test("the margins of a simulated device are measured after a confirmation, and its settings come back", { skip, timeout: WHOLE }, () => scene(["--bench", "R20C20", "--steer"], async (page) => {
+  await startVentilation(page);
+  await page.locator("#setting-rate").fill("40");
+  await page.locator("#setting-rate").press("Enter");
+  await until(page, () => window.eupnea.devices[0].state.settings.rate === 40);
+  await page.getByRole("tab", { name: "Tuning" }).click();
+  await page.getByLabel("Frequencies").fill("8");
+  await page.getByLabel("Breaths at each").fill("5");
+  await page.getByRole("button", { name: "Measure margins" }).click();
+  await page.locator("dialog .agree").click();
+  await until(page, () => window.eupnea.devices[0].state.measuring?.breath > 2 && window.eupnea.devices[0].state.settings.rise_time === 1);
+  assert.match(await page.locator(".tuning > [role=status]").first().textContent(), /^Measuring: breath \d+ of 46/);
+  await until(page, () => document.querySelectorAll(".margins .limits tbody tr").length === 3);
+  const { refused, margins, remarks, charts } = await page.evaluate(() => window.eupnea.devices[0].margins);
+  assert.deepEqual([refused, charts.length], [null, 5]);
+  for (const { value, unstated, low, high } of margins) assert.ok(value === null ? unstated : low < value && value < high, JSON.stringify(margins));
+  assert.match(remarks.join(), /\d of 8 frequencies count/);
+  await page.screenshot({ path: join(SHOTS, "real-margins.png") });
+  await until(page, () => window.eupnea.devices[0].state.settings.rise_time === 0 && window.eupnea.devices[0].state.ventilating);
+}));
+
 /** An address at which other computers reach this one; undefined if it has none. */
 const reachable = Object.values(networkInterfaces()).flat().find(({ family, internal }) => family === "IPv4" && !internal)?.address;
 

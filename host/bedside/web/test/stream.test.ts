@@ -95,3 +95,17 @@ test("a breath's unknown figures are null", () => {
   assert.ok(breath?.type === "breath");
   assert.deepEqual([breath.pip, breath.leak, breath.rate, breath.triggered], [20.5, null, null, false]);
 });
+
+test("margins are read, and what is not known of them is null", () => {
+  const chart = { title: "Magnitude", x_label: "frequency, Hz", y_label: "magnitude", log_x: true, log_y: true, square: null, curves: [{ name: "loop", role: "", dashed: false, x: [1, null, 3], y: [5, 6, null] }] };
+  const margin = { name: "Ms", unit: "", value: null, unstated: "not enough coherence", low: 1.2, high: null, decimals: 2, robust: "at most 2", keeps: null };
+  const read = decodeText(JSON.stringify({ type: "margins", device: 3, time_ms: 5, refused: null, controller: "PID", amplitude: 10, margins: [margin], remarks: ["one"], advice: [{ cause: "gain", text: "lower" }], charts: [chart] }));
+  assert.ok(read?.type === "margins");
+  assert.deepEqual(read.margins, [margin]);
+  assert.deepEqual([read.advice, read.remarks, read.charts[0]?.square], [[{ cause: "gain", text: "lower" }], ["one"], null]);
+  // A point without a place is left out, one without a value is a gap.
+  assert.deepEqual(read.charts[0]?.curves[0], { name: "loop", role: "", dashed: false, x: [1, 3], y: [5, null] });
+  const nothing = decodeText('{"type":"margins","device":0,"refused":"an alarm","charts":[{"square":[-2.5,1.5]}]}');
+  assert.ok(nothing?.type === "margins" && nothing.refused === "an alarm");
+  assert.deepEqual(nothing.charts[0]?.square, [-2.5, 1.5]);
+});
