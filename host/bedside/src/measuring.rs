@@ -5,7 +5,7 @@
 
 use monitoring::{News, words};
 use shared::link::messages::{Event, Request, Response};
-use shared::link::telemetry::TelemetryBatch;
+use shared::link::telemetry::{PackedSample, TelemetryBatch};
 use shared::safety::alarms::{Action, Fault};
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
@@ -192,7 +192,7 @@ impl Measuring {
 
     /// Takes samples; the end, if there is one.
     fn listen(&mut self, batch: &TelemetryBatch) -> Option<Over> {
-        for sample in batch.samples.iter().map(|sample| sample.unpack()) {
+        for sample in batch.samples.iter().map(PackedSample::unpack) {
             if let Some(what) = words::impossible(&sample) {
                 return Some(self.end(Ended::Failed(format!("the device sends {what}"))));
             }

@@ -19,8 +19,8 @@ fn answer(request: Request, result: Result<Response, String>) -> News {
     News::Answer { request, result }
 }
 
-fn settings(in_force: Settings) -> Result<Response, String> {
-    Ok(Response::Settings { in_force, pending: None })
+fn settings(in_force: Settings) -> Response {
+    Response::Settings { in_force, pending: None }
 }
 
 /// A measurement whose breaths follow.
@@ -30,7 +30,7 @@ fn begun() -> Measuring {
         panic!("the settings follow the sweep")
     };
     assert_eq!(next, Request::ApplySettings(plan().settings));
-    assert!(matches!(measuring.take(&answer(next, settings(plan().settings))), Some(Next::Begun)));
+    assert!(matches!(measuring.take(&answer(next, Ok(settings(plan().settings)))), Some(Next::Begun)));
     measuring
 }
 
@@ -134,7 +134,9 @@ fn a_sine_that_the_device_has_ended_ends_it() {
     let sines = measuring.measurement.sweep_from(measuring.first).first_breath;
     assert!(breathe(&mut measuring, NEWEST..sines).is_none());
     let mut without = breath(&measuring, sines);
-    without.iter_mut().for_each(|sample| sample.explore = 0.0);
+    for sample in &mut without {
+        sample.explore = 0.0;
+    }
     assert!(feed(&mut measuring, &without).is_none());
     let (why, restored) = ended(&breathe(&mut measuring, sines + 1..sines + 2).unwrap());
     assert!(why.contains("ended the sine") && restored, "{why}");
@@ -145,14 +147,14 @@ fn a_device_that_stops_is_lost_or_gets_other_settings_does_not_get_those_of_befo
     let stop = answer(Request::Stop, Ok(Response::Mode(Mode::Standby)));
     assert_eq!(ended(&over(&mut begun(), &stop)), ("the ventilation was stopped".into(), false));
     assert_eq!(ended(&over(&mut begun(), &News::Lost("unplugged".into()))), ("unplugged".into(), false));
-    let others = answer(Request::GetSettings, settings(Settings { pip: 30.0, ..Settings::default() }));
+    let others = answer(Request::GetSettings, Ok(settings(Settings { pip: 30.0, ..Settings::default() })));
     let mut measuring = begun();
     assert!(measuring.take(&others).is_none(), "those of before may still be in force");
     let first = measuring.first;
     breathe(&mut measuring, first..first + 2);
     let (why, restored) = ended(&over(&mut measuring, &others));
     assert!(why.contains("changed the settings") && !restored, "{why}");
-    assert!(measuring.take(&answer(Request::GetSettings, settings(plan().settings))).is_none());
+    assert!(measuring.take(&answer(Request::GetSettings, Ok(settings(plan().settings)))).is_none());
 }
 
 #[test]
@@ -176,7 +178,9 @@ fn a_breath_without_room_for_the_sine_shows_nothing_but_the_reason() {
     let numbers = first..sines;
     let over = numbers.into_iter().find_map(|number| {
         let mut samples = breath(&measuring, number);
-        samples.iter_mut().for_each(|sample| sample.u_in = 3.0);
+        for sample in &mut samples {
+            sample.u_in = 3.0;
+        }
         feed(&mut measuring, &samples)
     });
     let over = over.unwrap();
