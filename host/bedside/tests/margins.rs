@@ -121,9 +121,11 @@ fn under_an_alarm_the_device_refuses_and_keeps_its_settings() {
 #[test]
 fn an_alarm_ends_a_measurement_and_is_named() {
     let (_server, mut page, clock) = ventilating();
-    assert_eq!(page.ask(request(8, 5))["ok"], true);
-    clock.allow(8 * BREATH);
-    page.state(0, |state| state["measuring"]["breath"].as_u64() > Some(2));
+    let begun = page.ask(request(8, 5));
+    assert_eq!(begun["ok"], true, "{begun}");
+    // Within the breaths of the first frequency.
+    clock.allow(12 * BREATH);
+    page.state(0, |state| state["measuring"]["breath"].as_u64() > Some(6));
     page.ask(json!({"type": "fault", "device": 0, "fault": "disconnect"}));
     clock.run();
     let ended = page.text(|message| message["type"] == "margins");
@@ -148,12 +150,14 @@ fn a_measurement_is_stopped_by_its_page_which_shows_what_was_measured() {
 fn a_page_that_closes_or_is_taken_over_ends_its_measurement() {
     let (server, mut page, clock) = ventilating();
     assert_eq!(page.ask(request(40, 24))["ok"], true);
+    page.state(0, |state| state["measuring"].is_object());
     let mut other = Page::steering(&server);
     other.send(&json!({"type": "take", "device": 0, "take_over": true}));
     clock.run();
     other.state(0, |state| state["measuring"] == Value::Null && state["settings"]["rise_time"] == 0.0);
     other.state(0, |state| state["ventilating"] == true);
-    assert_eq!(other.ask(request(40, 24))["ok"], true);
+    let begun = other.ask(request(40, 24));
+    assert_eq!(begun["ok"], true, "{begun}");
     other.state(0, |state| state["measuring"].is_object());
     drop(other);
     page.state(0, |state| state["measuring"] == Value::Null && state["settings"]["rise_time"] == 0.0);

@@ -31,13 +31,20 @@ pub(super) struct PageMeasuring {
     measuring: Measuring,
 }
 
+impl PageMeasuring {
+    fn info(&self) -> MeasuringInfo {
+        let (breath, breaths) = self.measuring.breaths();
+        MeasuringInfo { breath, breaths, by: self.viewer.who.clone() }
+    }
+}
+
 /// What a hub has of measurements.
 #[derive(Default)]
 pub(super) struct Measured {
     /// The one under way.
     running: Option<PageMeasuring>,
     /// The one whose result is being computed, which takes longer than a hub may be silent.
-    computed: Option<JoinHandle<Margins>>,
+    computed: Option<(MeasuringInfo, JoinHandle<Margins>)>,
     /// The newest result, for every new page.
     pub newest: Option<Arc<str>>,
 }
@@ -53,11 +60,10 @@ impl Measured {
         self.running.as_ref().is_some_and(|running| running.viewer.number == viewer)
     }
 
-    /// The one under way.
+    /// The one under way, until its result is there.
     pub fn info(&self) -> Option<MeasuringInfo> {
-        let PageMeasuring { viewer, measuring, .. } = self.running.as_ref()?;
-        let (breath, breaths) = measuring.breaths();
-        Some(MeasuringInfo { breath, breaths, by: viewer.who.clone() })
+        let running = self.running.as_ref().map(PageMeasuring::info);
+        running.or_else(|| self.computed.as_ref().map(|(info, _)| info.clone()))
     }
 }
 
@@ -128,6 +134,7 @@ impl Worker {
 
     fn finish_measuring(&mut self, over: Over) {
         let Some(running) = self.measured.running.take() else { return };
+        let info = running.info();
         let PageMeasuring { viewer, id, controller, measuring } = running;
         let measurement = measuring.into_measurement();
         let nothing = over.nothing(&measurement);
@@ -139,7 +146,7 @@ impl Worker {
         let settings = if undo.is_empty() { REMAIN } else { RESTORED };
         self.ask_all(undo);
         let (time_ms, amplitude) = (now_ms(), measurement.plan().amplitude);
-        self.measured.computed = Some(thread::spawn(move || {
+        let result = thread::spawn(move || {
             let mut result = match nothing {
                 Some(why) => {
                     Margins { time_ms, refused: Some(why), controller, amplitude, ..Margins::default() }
@@ -148,14 +155,14 @@ impl Worker {
             };
             result.remarks.push(settings.to_owned());
             result
-        }));
+        });
+        self.measured.computed = Some((info, result));
     }
 
     /// Sends a result that has been computed.
     pub(super) fn send_margins(&mut self) {
-        let Some(computed) = self.measured.computed.take_if(|computed| computed.is_finished()) else {
-            return;
-        };
+        let finished = self.measured.computed.take_if(|(_, result)| result.is_finished());
+        let Some((_, computed)) = finished else { return };
         // A computation that panicked has already reported it.
         let Ok(margins) = computed.join() else { return };
         let message = ToPage::Margins { device: self.device, margins: Box::new(margins) };
