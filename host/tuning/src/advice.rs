@@ -162,9 +162,9 @@ mod tests {
 
     #[test]
     fn too_high_a_gain_is_named_with_the_share_of_it_that_is_robust() {
-        // Its gain margin is pi / (2 x 40 x 0.025), 1.57: at 79 % it is 2.
-        let all = causes(40.0, 0.025);
-        assert!(all[0].0 == Cause::Gain && all[0].1.contains("at 79 % of these gains"), "{all:?}");
+        // Its gain margin is pi / (2 x 40 x 0.0245), 1.60: at 80 % it is 2.
+        let all = causes(40.0, 0.0245);
+        assert!(all[0].0 == Cause::Gain && all[0].1.contains("at 80 % of these gains"), "{all:?}");
         assert!(causes(14.0, 0.025).is_empty(), "{:?}", causes(14.0, 0.025));
     }
 
