@@ -94,10 +94,13 @@ fn the_way_from_recordings_to_their_lungs_and_a_simulator_can_be_walked() {
 #[test]
 fn the_page_on_verdicts_can_be_walked() {
     let place = clone_with("examples/recordings");
-    let outputs = walk(&place, "docs/JUDGE.md", &["judge", "judge", "collect", "judge"]);
+    let outputs = walk(&place, "docs/JUDGE.md", &["judge", "judge", "collect", "judge", "margins"]);
     assert!(place.path("out/judge/sore-spots").is_dir() && place.path("out/judge/verdict.json").is_file());
     // Three lungs at two PIPs, then one lung at one PIP.
     let reports = |output: &str| output.lines().filter(|line| line.contains("  5.0  ")).count();
     assert_eq!((reports(&outputs[0]), reports(&outputs[3])), (6, 1), "{}\n{}", outputs[0], outputs[3]);
+    // On the held bench it is 1.78.
+    let peak = number(row(&outputs[4], &["Ms"])[1]);
+    assert!((peak - 1.78).abs() < 0.1 && place.path("out/margins.html").is_file(), "{}", outputs[4]);
     assert!(outputs.iter().all(|output| output.lines().count() < 80), "a page shows short answers first");
 }
