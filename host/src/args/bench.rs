@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::bail;
+use clap::builder::ArgPredicate;
 
 use plant::bench::BenchConfig;
 
@@ -14,8 +15,8 @@ const USUAL_BENCH: &str = "R20C20";
 pub struct BenchArgs {
     /// Virtual bench: a lung by R and C as in R20C20, or a row of the test table as in iso-07, and on the machine for newborns as in
     /// neonate-R100C2 or neonate-iso-14; or a TOML file, which can set every parameter (`trainer inspect --bench R20C20` prints one)
-    /// [default: R20C20]
-    #[arg(long, value_name = "LUNG|FILE")]
+    // None beside a port: a board on the desk keeps the bench that it has unless the command line names another.
+    #[arg(long, value_name = "LUNG|FILE", default_value_if("port", ArgPredicate::IsPresent, None), default_value = USUAL_BENCH)]
     pub bench: Option<String>,
 }
 
