@@ -79,7 +79,8 @@ impl Course {
     }
 
     fn end(&self) -> Step {
-        if self.ticks > self.inspiration {
+        // Settings may leave no time for an expiration.
+        if self.ticks >= self.inspiration {
             Step::NextBreath
         } else {
             let Self { ticks, inspiration, .. } = self;
@@ -123,6 +124,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
     use shared::breath::paper_settings;
+    use shared::settings::Settings;
 
     fn sound(breath: u32, tick: u32, asked: &Breath) -> Sample {
         let phase = asked.phase(tick);
@@ -165,6 +167,26 @@ mod tests {
             let mut course = Course::new(&asked);
             assert!((0..ticks).all(|tick| course.take(&sound(7, tick, &asked)) == Step::Next));
             assert_eq!(course.take(&sound(8, 0, &asked)), Step::NextBreath);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_sound_breath_goes_through_whatever_its_settings(
+            inspiratory_time in 0.1_f32..4.0,
+            rate in 4.0_f32..100.0,
+            shortest in proptest::bool::ANY,
+            period_us in 1000_u32..10_000,
+        ) {
+            let paper = paper_settings(20.0);
+            let rate = if shortest { 59.99 / inspiratory_time } else { rate };
+            let settings = Settings { inspiratory_time, rate, rise_time: 0.0, fall_time: 0.0, ..paper };
+            let Ok(asked) = Breath::new(&settings, period_us) else { return Ok(()) };
+            let mut course = Course::new(&asked);
+            for tick in 0..asked.total_ticks() {
+                prop_assert_eq!(course.take(&sound(7, tick, &asked)), Step::Next);
+            }
+            prop_assert_eq!(course.take(&sound(8, 0, &asked)), Step::NextBreath);
         }
     }
 
