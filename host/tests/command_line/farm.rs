@@ -82,7 +82,7 @@ fn a_wrong_description_is_refused_with_its_line_and_leaves_no_folder() {
             "farm.toml:4: unit 2 has the port of unit 1",
         ),
         ("[[unit]]\nport = \"/dev/no-such\"\nlung = \"R5\"\n", "farm.toml:3: unknown lung \"R5\""),
-        ("[[unit]]\n", "farm.toml:1: unit 1 needs either a port or a bench"),
+        ("[[unit]]\n", "farm.toml:1: unit 1 needs a port or a bench"),
     ] {
         std::fs::write(place.path("farm.toml"), text_of_file).unwrap();
         let output = place.run("farm farm.toml --out farm");

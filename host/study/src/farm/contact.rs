@@ -6,9 +6,9 @@ use super::description::{Place, Unit};
 use super::folder::UnitState;
 use super::{FarmRun, UnitName, Worker};
 use crate::error::{Result, StudyError};
-use device::Device;
 use device::port::Address;
 use device::simulated::Served;
+use device::{Device, DeviceError};
 use plant::locked;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::calibration::Calibration;
@@ -25,7 +25,7 @@ impl Contact {
     /// Switches on the device of a virtual unit.
     pub fn new(unit: &Unit, pace: u32) -> Result<Self> {
         Ok(match &unit.place {
-            Place::Port(address) => Self { address: address.clone(), served: None },
+            Place::Port(address) | Place::Desk(address, _) => Self { address: address.clone(), served: None },
             Place::Bench(bench) => {
                 let served = Served::start(bench, pace)?;
                 Self { address: served.address().clone(), served: Some(served) }
@@ -38,14 +38,17 @@ impl Contact {
         Ok(Device::connect(&self.address)?)
     }
 
-    /// Connects to the device as a source; a virtual unit's plant starts with this seed.
+    /// Connects to the device as a source; the plant of a simulated unit starts with this seed.
     pub fn source(&self, unit: &Unit, seed: u64) -> Result<PortSource> {
-        let source = PortSource::new(self.device()?, seed)?;
-        Ok(match (&self.served, unit.bench()) {
-            (Some(served), Some(bench)) => {
-                source.with_plant(format!("unit {}", unit.name), bench.to_toml(), served.truth())
+        let mut source = PortSource::new(self.device()?, seed)?;
+        let Some(bench) = unit.bench() else { return Ok(source) };
+        let name = format!("unit {}", unit.name);
+        Ok(match &self.served {
+            Some(served) => source.with_plant(name, bench.to_toml(), served.truth()),
+            None => {
+                source.simulate(bench)?;
+                source
             }
-            _ => source,
         })
     }
 
@@ -97,6 +100,12 @@ impl FarmRun<'_> {
             return Err(worker.refused(&format!(
                 "has a control period of {period_us} us, but the farm's controllers need {DEFAULT_PERIOD_US}"
             )));
+        }
+        if let Place::Desk(_, bench) = &unit.place
+            && let Err(error) = device.set_bench(&bench.to_bytes())
+        {
+            let DeviceError::Refused(refusal) = error else { return Err(error.into()) };
+            return Err(worker.refused(&format!("does not simulate the bench: {refusal}")));
         }
         let Some(own) = known.iter().find(|known| known.name == unit.name) else { return Ok(()) };
         let (_, held) = device.calibration(0)?;

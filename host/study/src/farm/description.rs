@@ -46,24 +46,37 @@ pub struct Unit {
 pub enum Place {
     /// A device at a port.
     Port(Address),
+    /// A board on the desk at a port, which simulates a bench.
+    Desk(Address, Box<BenchConfig>),
     /// A device in this process, on a bench.
     Bench(Box<BenchConfig>),
+}
+
+impl Place {
+    /// The port, if the unit is at one.
+    pub fn port(&self) -> Option<&Address> {
+        match self {
+            Self::Port(address) | Self::Desk(address, _) => Some(address),
+            Self::Bench(_) => None,
+        }
+    }
 }
 
 impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Port(address) => write!(f, "{address}"),
+            Self::Desk(address, bench) => write!(f, "{address}, which simulates {}", bench.name),
             Self::Bench(bench) => write!(f, "bench {}", bench.name),
         }
     }
 }
 
 impl Unit {
-    /// The bench, if the unit is a virtual one.
+    /// The bench, if the unit is simulated.
     pub fn bench(&self) -> Option<&BenchConfig> {
         match &self.place {
-            Place::Bench(bench) => Some(bench),
+            Place::Desk(_, bench) | Place::Bench(bench) => Some(bench),
             Place::Port(_) => None,
         }
     }
@@ -118,10 +131,8 @@ impl Farm {
                 let message = format!("unit {} is already described at {}", unit.name, earlier.line);
                 return Err(reader.refused(entry.span().start, &message));
             }
-            let same_port = |earlier: &&Unit| match (&earlier.place, &unit.place) {
-                (Place::Port(one), Place::Port(two)) => canonical(one) == canonical(two),
-                _ => false,
-            };
+            let port = unit.place.port().map(canonical);
+            let same_port = |earlier: &&Unit| port.is_some() && earlier.place.port().map(canonical) == port;
             if let Some(earlier) = units.iter().find(same_port) {
                 let place =
                     entry.get_ref().port.as_ref().map_or(entry.span().start, |port| port.span().start);
@@ -157,7 +168,7 @@ impl Farm {
         Self { units: (1..=count).map(unit).collect(), band: Band::default() }
     }
 
-    /// The benches, if all units are virtual.
+    /// The benches, if all units are simulated.
     pub fn benches(&self) -> Option<Vec<&BenchConfig>> {
         self.units.iter().map(Unit::bench).collect()
     }
@@ -214,16 +225,17 @@ impl Reader<'_> {
         };
         let place = match (&entry.port, &entry.bench) {
             (Some(port), None) => Place::Port(self.parsed(port)?),
+            (Some(port), Some(bench)) => Place::Desk(self.parsed(port)?, Box::new(self.bench(bench)?)),
             (None, Some(bench)) => Place::Bench(Box::new(self.bench(bench)?)),
-            _ => {
-                let message = format!("unit {name} needs either a port or a bench");
+            (None, None) => {
+                let message = format!("unit {name} needs a port or a bench");
                 return Err(self.refused(start, &message));
             }
         };
         let named = entry.lung.as_ref().map(|lung| self.bench(lung)).transpose()?;
         let lung = match (&named, &place) {
             (Some(lung), _) => Some(lung_of(lung)),
-            (None, Place::Bench(bench)) => Some(lung_of(bench)),
+            (None, Place::Desk(_, bench) | Place::Bench(bench)) => Some(lung_of(bench)),
             (None, Place::Port(_)) => None,
         };
         let (low, high) = Quantity::SensorGain.bounds();
@@ -271,14 +283,17 @@ mod tests {
     fn a_unit_has_a_place_a_lung_and_a_note() {
         let farm = parse(
             "[[unit]]\nport = \"/dev/ttyACM0\"\nlung = \"R20C50\"\nnote = \"new valve\"\nsensor_gain = 1.02\n\
-             [[unit]]\nname = \"spare\"\nbench = \"R5C10\"\n[band]\ndead_time_ms = 2\n",
+             [[unit]]\nname = \"spare\"\nbench = \"R5C10\"\n\
+             [[unit]]\nport = \"COM4\"\nbench = \"R50C20\"\n[band]\ndead_time_ms = 2\n",
         )
         .unwrap();
-        let [first, second] = &farm.units[..] else { panic!("{farm:?}") };
+        let [first, second, desk] = &farm.units[..] else { panic!("{farm:?}") };
         assert_eq!((first.name.as_str(), first.sensor_gain), ("1", Some(1.02)));
         assert_eq!(first.lung, Some(LungParameters { resistance: 20.0, compliance: 50.0 }));
         assert_eq!((second.name.as_str(), second.line.as_str()), ("spare", "farm.toml:6"));
         assert_eq!(second.lung, Some(LungParameters { resistance: 5.0, compliance: 10.0 }));
+        assert_eq!(desk.place.to_string(), "COM4, which simulates R50C20");
+        assert_eq!(desk.lung, Some(LungParameters { resistance: 50.0, compliance: 20.0 }));
         assert_eq!(farm.band, Band { dead_time_ms: 2.0, ..Band::default() });
         assert!(farm.benches().is_none());
     }
@@ -292,6 +307,10 @@ mod tests {
                 "farm.toml:4: unit 2 has the port of unit 1",
             ),
             (
+                "[[unit]]\nport = \"COM3\"\n[[unit]]\nport = \"COM3\"\nbench = \"R5C10\"\n",
+                "farm.toml:4: unit 2 has the port of unit 1",
+            ),
+            (
                 "[[unit]]\nport = \"COM3\"\n[[unit]]\nport = \"serial:COM3?baud=9600\"\n",
                 "farm.toml:4: unit 2 has the port of unit 1",
             ),
@@ -301,7 +320,7 @@ mod tests {
             ),
             ("[[unit]]\nport = \"COM3\"\nlung = \"R20\"\n", "farm.toml:3: unknown lung \"R20\""),
             ("[[unit]]\nport = \"COM3\"\nlungs = \"R20C20\"\n", "farm.toml:3: unknown field `lungs`"),
-            ("[[unit]]\nnote = \"\"\n", "farm.toml:1: unit 1 needs either a port or a bench"),
+            ("[[unit]]\nnote = \"\"\n", "farm.toml:1: unit 1 needs a port or a bench"),
             ("[[unit]]\nname = \"a/b\"\nport = \"COM3\"\n", "farm.toml:2: the name a/b"),
             ("[[unit]]\nport = \"tcp:x\"\n", "farm.toml:2: 'tcp:x' is not a device's address"),
             ("[[unit]]\nport = \"COM3\"\nsensor_gain = 2.0\n", "farm.toml:3: sensor_gain 2 is outside"),

@@ -225,6 +225,18 @@ fn a_unit_that_does_not_answer_stops_no_other_one() {
 }
 
 #[test]
+fn a_unit_that_is_no_board_on_the_desk_cannot_simulate_a_bench() {
+    let folder = tempfile::tempdir().unwrap();
+    let lung = bench("R20C20", 0.1, 12.0);
+    let served = Served::start(&lung, MOST_PACE).unwrap();
+    let place = Place::Desk(served.address().clone(), Box::new(lung));
+    let farm = farm(vec![Unit { place, ..at("1", served.address()) }]);
+    let refused = Small::new(&farm, folder.path(), FarmStage::Contact).run().unwrap_err().to_string();
+    assert!(refused.contains("farm.toml:1: unit 1 at tcp:"), "{refused}");
+    assert!(refused.contains("does not simulate the bench: "), "{refused}");
+}
+
+#[test]
 fn a_unit_that_answers_as_another_is_refused_with_its_line_and_nothing_moves() {
     let folder = tempfile::tempdir().unwrap();
     let served = [0.1, 0.4].map(|offset| Served::start(&bench("R20C20", offset, 12.0), MOST_PACE).unwrap());
