@@ -13,7 +13,7 @@ use shared::recorder::keeper::Keeper;
 /// Driver of the chip's flash; addresses are offsets from its start.
 ///
 /// The data cache is not updated by an erase, so it is off during each change and empty afterwards: a store reads back what
-/// is in the flash. The vendor's driver does that only for chips with two banks.
+/// is in the flash. Embassy's driver does that only for chips with two banks.
 pub struct BoardFlash(Flash<'static, Blocking>);
 
 impl BoardFlash {

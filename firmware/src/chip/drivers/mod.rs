@@ -1,4 +1,16 @@
-//! Drivers: register access for each function of the board. Computations without registers are in `shared`.
+//! Drivers: one for each function of the board. Computations without registers are in `shared`.
+//!
+//! They use those of `embassy-stm32`, and access registers themselves only where those do not serve:
+//!
+//! | driver | registers for |
+//! |---|---|
+//! | `adc` | the end of a conversion, which embassy's waits for without bound or does not tell |
+//! | `backup` | clock and memory at VBAT: embassy's wait without bound for a crystal or a regulator that may be missing |
+//! | `clock` | a tick in the highest priority and cycle counts; embassy's time driver needs a timer and its own interrupt |
+//! | `flash` | the accelerator; the data cache, which embassy's handles only on chips with two banks |
+//! | `link_uart`, `plant_line` | one interrupt per byte that never writes the status register; a polled exchange with a timeout |
+//! | `oscillator`, `reset`, `supply` | a crystal that stops at run time, the cause of a reset, supply detector and option bytes: embassy has none |
+//! | `watchdog` | the timeout of a watchdog that runs, which embassy's sets once |
 
 #[cfg(bedside)]
 pub mod adc;
