@@ -17,6 +17,7 @@ mod shards;
 #[expect(dead_code, reason = "the tests of the trainer and of the engines use the rest")]
 mod support;
 mod test_table;
+mod written;
 
 use std::path::{Path, PathBuf};
 
