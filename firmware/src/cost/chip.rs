@@ -4,7 +4,10 @@ use core::hint::black_box;
 use core::panic::PanicInfo;
 use core::ptr::addr_of;
 
-use bench::{Bench, BenchConfig, BlowerConfig, CompartmentConfig, LungConfig, PatientConfig};
+use bench::{
+    Bench, BenchConfig, BlowerConfig, CompartmentConfig, Distortion, FaultConfig, Faulty, LungConfig,
+    MOST_FAULTS, PatientConfig, Signal,
+};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use defmt_rtt as _;
@@ -361,10 +364,30 @@ fn ticks(counting: &Cost, control: &mut Control) {
 }
 
 /// Measures the bench that a board on the desk simulates: a start, a step with all readings, and a step with the tick that controls it,
-/// on the default bench and on one in which every part is at work.
+/// on the default bench and on busy ones.
 #[inline(never)]
 fn desk(counting: &Cost, control: &mut Control) {
-    let busy = BenchConfig {
+    let (mut starting, mut stepping, mut whole) = (Cost::NONE, Cost::NONE, Cost::NONE);
+    // The distortions that take longest.
+    let distortions =
+        [Distortion::Noise(0.1), Distortion::Hum { amplitude: 0.1, hz: 50.0 }, Distortion::LagMs(20.0)];
+    for config in core::iter::once(BenchConfig::default()).chain(distortions.into_iter().map(busy)) {
+        start(&config, &mut starting);
+        renew(control);
+        let cost = breathe(&config, counting, control);
+        stepping.add(&cost[0]);
+        whole.add(&cost[1]);
+    }
+    starting.print("bench_start", counting);
+    stepping.print("bench_step", counting);
+    whole.print("tick_on_the_desk", counting);
+}
+
+/// A bench in which every part is at work, with as many faults as a chip takes.
+fn busy(distortion: Distortion) -> BenchConfig {
+    let what = Faulty::Sensor { signal: Signal::Converter, distortion };
+    let fault = FaultConfig { from_s: 0.0, to_s: None, repeats: None, what };
+    BenchConfig {
         blower: Some(BlowerConfig::default()),
         lung: LungConfig { second: Some(CompartmentConfig::default()), ..LungConfig::default() },
         patient: PatientConfig {
@@ -376,19 +399,9 @@ fn desk(counting: &Cost, control: &mut Control) {
             resistance_growth_percent_per_hour: 10.0,
             ..PatientConfig::default()
         },
+        faults: core::iter::repeat_n(fault, MOST_FAULTS).collect(),
         ..BenchConfig::default()
-    };
-    let (mut starting, mut stepping, mut whole) = (Cost::NONE, Cost::NONE, Cost::NONE);
-    for config in [BenchConfig::default(), busy] {
-        start(&config, &mut starting);
-        renew(control);
-        let cost = breathe(&config, counting, control);
-        stepping.add(&cost[0]);
-        whole.add(&cost[1]);
     }
-    starting.print("bench_start", counting);
-    stepping.print("bench_step", counting);
-    whole.print("tick_on_the_desk", counting);
 }
 
 /// Starts a bench; a separate function, because a bench fills much of the stack.

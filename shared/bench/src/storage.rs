@@ -1,7 +1,7 @@
 //! Containers: they grow with the description on a computer, and have a fixed capacity on a chip, which has no heap.
 
-/// Most faults of a description on a chip.
-pub const MOST_FAULTS: usize = 4;
+/// Most faults of a description on a chip: each may take thousands of instructions in each step.
+pub const MOST_FAULTS: usize = 2;
 /// Most changes of the leak in a description on a chip.
 pub const MOST_LEAK_CHANGES: usize = 16;
 /// Longest delay of a reading on a chip, ms.

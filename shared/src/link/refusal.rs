@@ -149,7 +149,7 @@ pub enum Refusal {
     NoBench,
     /// The description cannot be used.
     #[error(
-        "the device cannot simulate this bench: it has room for 4 faults, of which one delays a reading, by at most 250 ms, and 16 changes of the leak; if it has no more, update the older side"
+        "the device cannot simulate this bench: it takes at most 2 faults, of which one delays a reading, by at most 250 ms, 16 changes of the leak and 4 sub-steps; if it has no more, update the older side"
     )]
     BadBench,
     /// A value of a sweep of sines is out of bounds.

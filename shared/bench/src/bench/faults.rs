@@ -36,6 +36,7 @@ struct Scheduled {
     config: FaultConfig,
     active: bool,
     distorters: [Distorter; 3],
+    memo: Memo,
     /// Place of its first delay line, if it delays.
     delays: usize,
 }
@@ -47,7 +48,7 @@ impl Faults {
         let scheduled = |(place, config): (usize, &FaultConfig)| {
             let first = FIRST_STREAM + 3 * place as u64;
             let distorters = core::array::from_fn(|n| Distorter::new(stream(seed, first + n as u64)));
-            let fault = Scheduled { config: *config, active: false, distorters, delays };
+            let fault = Scheduled { config: *config, active: false, distorters, memo: Memo::NONE, delays };
             delays += config.delay_ms().map_or(0, |_| SIGNALS.len());
             fault
         };
@@ -77,7 +78,7 @@ impl Faults {
             {
                 let distorter = &mut fault.distorters[place];
                 let delay = self.delays.get_mut(fault.delays + place);
-                value = distorter.apply(distortion, value, time_s, self.last[place], delay);
+                value = distorter.apply(distortion, value, time_s, self.last[place], delay, &mut fault.memo);
             }
         }
         if value.is_finite() {
@@ -157,6 +158,25 @@ impl Bench {
     }
 }
 
+/// The last value of a function that takes long: the signals have it in common, so a chip computes it once for all.
+#[derive(Clone, Debug)]
+struct Memo {
+    of: f64,
+    value: f64,
+}
+
+impl Memo {
+    /// Of nothing yet.
+    const NONE: Self = Self { of: f64::NAN, value: f64::NAN };
+
+    fn get(&mut self, of: f64, function: impl FnOnce(f64) -> f64) -> f64 {
+        if of.to_bits() != self.of.to_bits() {
+            *self = Self { of, value: function(of) };
+        }
+        self.value
+    }
+}
+
 /// State of the distortion of one signal.
 #[derive(Clone, Debug)]
 struct Distorter {
@@ -184,6 +204,7 @@ impl Distorter {
         time_s: f64,
         last: f64,
         delay: Option<&mut Delay>,
+        memo: &mut Memo,
     ) -> f64 {
         let begins = self.times.is_none();
         let (began_s, before_s) = self.times.unwrap_or((time_s, time_s));
@@ -195,7 +216,7 @@ impl Distorter {
             Distortion::Offset(offset) => value + offset,
             Distortion::Gain(gain) => value * gain,
             Distortion::LagMs(lag_ms) => {
-                let share = 1.0 - exp(-(time_s - before_s) / (1e-3 * lag_ms));
+                let share = memo.get(time_s - before_s, |since_s| 1.0 - exp(-since_s / (1e-3 * lag_ms)));
                 // The first reading, and any without a lag.
                 self.kept += if share.is_nan() { 0.0 } else { share } * (value - self.kept);
                 self.kept
@@ -208,7 +229,9 @@ impl Distorter {
             }),
             Distortion::DriftPerS(rate) => value + rate * (time_s - began_s),
             Distortion::Noise(sd) => value + sd * normal(&mut self.rng),
-            Distortion::Hum { amplitude, hz } => value + amplitude * sin(TAU * hz * time_s),
+            Distortion::Hum { amplitude, hz } => {
+                value + amplitude * memo.get(time_s, |time_s| sin(TAU * hz * time_s))
+            }
             Distortion::Quantum(quantum) => quantum * round(value / quantum),
             Distortion::Saturates { low, high } => value.clamp(low, high),
             Distortion::Freezes => self.kept,

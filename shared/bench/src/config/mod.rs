@@ -25,7 +25,7 @@ use core::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-use super::step::LEAST_SUB_STEPS;
+use super::step::{LEAST_SUB_STEPS, MOST_SUB_STEPS};
 use crate::math::sqrt;
 use crate::storage::{List, MOST_FAULTS, MOST_NAME_BYTES, Text};
 
@@ -117,7 +117,7 @@ impl BenchConfig {
             patient,
             faults,
         } = self;
-        check("sub_steps", f64::from(*sub_steps), f64::from(LEAST_SUB_STEPS)..=64.0)?;
+        check("sub_steps", f64::from(*sub_steps), f64::from(LEAST_SUB_STEPS)..=f64::from(MOST_SUB_STEPS))?;
         valve.validate()?;
         blower.as_ref().map_or(Ok(()), BlowerConfig::validate)?;
         expiratory.validate()?;
