@@ -208,28 +208,8 @@ impl<C: ControlLaw> Ventilator<C> {
     /// # Errors
     /// Settings that are refused by [`Breath::new`].
     pub fn standby(&self, settings: &Settings) -> Result<VentilatorState<C::State>, SettingsError> {
-        Ok(self.at_rest(Breath::new(settings, self.period_us)?))
-    }
-
-    /// A state in standby with the first breath.
-    // Inlined, it would be built on the caller's stack and then copied; called, it is built in its place.
-    #[inline(never)]
-    pub fn at_rest(&self, breath: Breath) -> VentilatorState<C::State> {
-        VentilatorState {
-            mode: Mode::Standby,
-            breath,
-            pending: None,
-            number: 0,
-            tick: 0,
-            last_command: 0.0,
-            addition: Addition::default(),
-            controller: self.controller.initial_state(),
-            spare: PidState::new(),
-            supervisor: SupervisorState::default(),
-            trigger: TriggerState::default(),
-            disturbed: None,
-            lesson: Lesson::Forget,
-        }
+        let breath = Breath::new(settings, self.period_us)?;
+        Ok(VentilatorState::at_rest(breath, || self.controller.initial_state()))
     }
 
     /// Sets the settings of the next breath (in standby: of the first one).
@@ -434,6 +414,27 @@ fn told(addition: &Addition, output: ControlOutput, explore: f32, applied: f32) 
 }
 
 impl<S> VentilatorState<S> {
+    /// A state in standby with the first breath, and the initial state of the controller.
+    // Inlined, it would be built on the caller's stack and then copied; called, it is built in its place.
+    #[inline(never)]
+    pub fn at_rest(breath: Breath, controller: impl FnOnce() -> S) -> Self {
+        Self {
+            mode: Mode::Standby,
+            breath,
+            pending: None,
+            number: 0,
+            tick: 0,
+            last_command: 0.0,
+            addition: Addition::default(),
+            controller: controller(),
+            spare: PidState::new(),
+            supervisor: SupervisorState::default(),
+            trigger: TriggerState::default(),
+            disturbed: None,
+            lesson: Lesson::Forget,
+        }
+    }
+
     /// The mode.
     pub fn mode(&self) -> Mode {
         self.mode

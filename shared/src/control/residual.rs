@@ -99,8 +99,8 @@ impl Residual {
     }
 
     /// Like [`Self::new`] of these [`ResidualSpec::parts`], with a network whose output is zero and whose parameters are then read in
-    /// place: each copy of a network takes kilobytes of the chip's stack.
-    #[inline]
+    /// place: each copy of a network takes kilobytes of the chip's stack. Not inlined: it is built in the caller's place.
+    #[inline(never)]
     pub(crate) fn zero(spec: ResidualSpec, (pid, features): (Pid, Features)) -> Self {
         Self { spec, pid, features, network: Network::zero() }
     }

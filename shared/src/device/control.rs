@@ -13,9 +13,9 @@ use super::self_test::{BootFindings, Check, SelfTest};
 use super::{ControlReply, ControlReport, ControlRequest, HostRole, KNOWN_GOOD, Status};
 use crate::breath::{Breath, Phase};
 use crate::calibration::SensorCorrection;
-use crate::control::Controller;
 use crate::control::pid::Pid;
 use crate::control::residual::Residual;
+use crate::control::{Controller, ControllerState};
 use crate::explore::Exploration;
 use crate::explore::sines::SineSweep;
 use crate::link::messages::{AlarmStatus, ControllerChoice, DeviceKind, Response};
@@ -96,13 +96,11 @@ impl Control {
     pub fn new(kind: DeviceKind, period_us: u32, core_hz: u32) -> Result<Self, Refusal> {
         let pid = Pid::new(KNOWN_GOOD, period_us).map_err(|_| Refusal::Gains)?;
         let breath = Breath::new(&Settings::default(), period_us)?;
-        let ventilator = Ventilator::new(period_us, Controller::Pid(pid));
         let controller = ControllerChoice::Pid(KNOWN_GOOD);
         Ok(Self {
             kind,
-            // Not a variable, which would be copied from the stack; the smallest one is nearly used up here.
-            state: ventilator.at_rest(breath),
-            ventilator,
+            // No variables, which would be copied from the stack; the smallest one is nearly used up here.
+            state: VentilatorState::at_rest(breath, ControllerState::new),
             learned: None,
             status: Status {
                 mode: Mode::Standby,
@@ -127,6 +125,7 @@ impl Control {
             confirmed: false,
             seed: None,
             peep: None,
+            ventilator: with_pid(period_us, pid),
         })
     }
 
@@ -563,6 +562,12 @@ impl Control {
         self.seed = Some(seed);
         Ok(Response::Done)
     }
+}
+
+/// A ventilator that runs a PID. Not inlined: it is built in the caller's place.
+#[inline(never)]
+fn with_pid(period_us: u32, pid: Pid) -> Ventilator {
+    Ventilator::new(period_us, Controller::Pid(pid))
 }
 
 /// What the ventilator has found out by the end of a breath.

@@ -101,16 +101,17 @@ impl Upload {
         if length != IMAGE_BYTES {
             return Err(Refusal::WrongLength);
         }
-        let image = decode_trusted(&self.bytes, trust).map_err(|error| match error.into() {
-            ImageProblem::Unsigned => Refusal::Unsigned,
-            ImageProblem::Signature => Refusal::WrongSignature,
-            ImageProblem::Plant => Refusal::OtherPlant,
-            problem => Refusal::BadImage(problem),
-        })?;
-        if image.id != id {
+        let found =
+            decode_trusted(&self.bytes, trust, |image| image.id).map_err(|error| match error.into() {
+                ImageProblem::Unsigned => Refusal::Unsigned,
+                ImageProblem::Signature => Refusal::WrongSignature,
+                ImageProblem::Plant => Refusal::OtherPlant,
+                problem => Refusal::BadImage(problem),
+            })?;
+        if found != id {
             return Err(Refusal::OtherImage);
         }
-        Ok(image.id)
+        Ok(id)
     }
 
     /// The bytes that [`Upload::commit`] validated.

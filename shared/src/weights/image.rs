@@ -73,35 +73,35 @@ pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Resul
     Ok(IMAGE_BYTES)
 }
 
-/// Validates an image that a device is to run: [`decode`] of one that its [`Trust`] allows.
+/// Validates an image that a device is to run, one that its [`Trust`] allows, and returns what `take` makes of it. The image itself is
+/// not returned, because each move of it would take kilobytes of the chip's stack.
 ///
 /// # Errors
 /// As [`decode`]; a wrong signature is reported before the content is looked at, and after damage.
-#[inline(never)]
-pub fn decode_trusted(bytes: &[u8], trust: &Trust) -> Result<Image, WeightsError> {
+pub fn decode_trusted<T>(
+    bytes: &[u8],
+    trust: &Trust,
+    mut take: impl FnMut(&Image) -> T,
+) -> Result<T, WeightsError> {
     enclosed(bytes)?;
     trust.verify(bytes)?;
-    decode(bytes)
+    let mut taken = Err(WeightsError::Golden);
+    build(bytes, &mut |image| taken = Ok(take(image)))?;
+    taken
 }
 
 /// Validates an image and builds its controller. Bytes after the image are ignored.
 ///
 /// # Errors
 /// The first problem, in the order at the top of this file; the signature is not verified ([`decode_trusted`]).
-#[inline(never)]
 pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
-    // One variable, so that it is built in the caller's memory: on the chip each copy takes kilobytes of the stack.
-    let mut image = build(bytes);
-    if matches!(&image, Ok(built) if golden(&built.residual) != built.golden) {
-        image = Err(WeightsError::Golden);
-    }
-    image
+    decode_trusted(bytes, &Trust::Development, Image::clone)
 }
 
-/// Builds the controller of an image whose golden vector is not yet checked. Not inlined, so that its copies of the network are
-/// off the stack before the exercise runs.
+/// Builds the controller of an image, checks its golden values, and lends it to `take`. Not inlined, so that it is on the stack only
+/// meanwhile.
 #[inline(never)]
-fn build(bytes: &[u8]) -> Result<Image, WeightsError> {
+fn build(bytes: &[u8], take: &mut dyn FnMut(&Image)) -> Result<(), WeightsError> {
     let (header, parameters, id) = enclosed(bytes)?;
     let Header { architecture, period_us, gains, lambda, authority, features, .. } = header;
     if architecture != ARCHITECTURE {
@@ -118,19 +118,21 @@ fn build(bytes: &[u8]) -> Result<Image, WeightsError> {
     }
     let spec = ResidualSpec { period_us, gains, lambda, authority, features };
     let parts = spec.parts()?;
-    let mut image = Ok(Image {
+    let mut image = Image {
         residual: Residual::zero(spec, parts),
         identity: header.identity,
         version: header.image_version,
         golden: header.golden,
         id,
-    });
-    if let Ok(image) = &mut image {
-        for (parameter, bytes) in image.residual.parameters_mut().zip(parameters) {
-            *parameter = f32::from_le_bytes(*bytes);
-        }
+    };
+    for (parameter, bytes) in image.residual.parameters_mut().zip(parameters) {
+        *parameter = f32::from_le_bytes(*bytes);
     }
-    image
+    if golden(&image.residual) != image.golden {
+        return Err(WeightsError::Golden);
+    }
+    take(&image);
+    Ok(())
 }
 
 /// Header, parameters and id of a complete and undamaged image of this format. The header gives the length, so that a

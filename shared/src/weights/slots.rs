@@ -139,26 +139,25 @@ impl<F: NorFlash> Slots<F> {
         &mut self.flash
     }
 
-    /// Decodes the newest valid image or, if it is refused, that of the other slot; returns what `take` makes of it. The image itself
-    /// is not returned, because each move of it would take kilobytes of the stack.
+    /// Decodes the newest valid image or, if it is refused, that of the other slot; returns what `take` makes of it.
     pub fn load<T>(&mut self, mut take: impl FnMut(&Image) -> T) -> Option<(Slot, T)> {
         for slot in by_age(&self.states()) {
-            match &self.decode(slot) {
-                Ok(image) => return Some((slot, take(image))),
-                Err(error) => self.refused[slot as usize] = Some((*error).into()),
+            match self.decode(slot, &mut take) {
+                Ok(taken) => return Some((slot, taken)),
+                Err(error) => self.refused[slot as usize] = Some(error.into()),
             }
         }
         None
     }
 
-    /// Decodes the image in a slot. Not inlined, so that its buffer is on the stack only meanwhile.
+    /// Decodes the image in a slot; returns what `take` makes of it. Not inlined, so that its buffer is on the stack only meanwhile.
     #[inline(never)]
-    fn decode(&mut self, slot: Slot) -> Result<Image, WeightsError> {
+    fn decode<T>(&mut self, slot: Slot, take: impl FnMut(&Image) -> T) -> Result<T, WeightsError> {
         let mut bytes = [0; IMAGE_BYTES];
         if self.read(self.starts[slot as usize], &mut bytes).is_err() {
             return Err(WeightsError::Checksum);
         }
-        decode_trusted(&bytes, &self.trust)
+        decode_trusted(&bytes, &self.trust, take)
     }
 
     /// Refuses an image that is not newer than the trusted ones, whatever their plant: otherwise images for another plant would
@@ -183,7 +182,7 @@ impl<F: NorFlash> Slots<F> {
     #[inline(never)]
     fn trusted(&mut self, slot: Slot) -> Option<u32> {
         let SlotState::Valid { .. } = self.state(slot).ok()? else { return None };
-        self.decode(slot).ok().map(|image| image.version)
+        self.decode(slot, |image| image.version).ok()
     }
 
     /// Stores an image in the slot that is not the newest; returns the slot and its generation. The image is not decoded

@@ -14,32 +14,32 @@ impl Bench {
     /// Makes a part fail.
     pub fn fail(&mut self, failure: Failure) {
         match failure {
-            Failure::TubeOccluded => self.lung.occlude(OCCLUDED),
-            Failure::TubeNarrowed(factor) => self.lung.occlude(factor),
-            Failure::FilterClogged => self.expiratory.clog(CLOGGED),
-            Failure::FilterNarrowed(share) => self.expiratory.clog(share),
-            Failure::Disconnected => self.circuit.fail(OPEN_END_L_PER_S),
-            Failure::Leak(flow) => self.circuit.fail(flow),
-            Failure::InspiratoryValveStuck(percent) => self.valve.stick_at(percent),
-            Failure::ValveLoose(percent) => self.valve.loosen(percent),
+            Failure::TubeOccluded => self.parts.lung.occlude(OCCLUDED),
+            Failure::TubeNarrowed(factor) => self.parts.lung.occlude(factor),
+            Failure::FilterClogged => self.parts.expiratory.clog(CLOGGED),
+            Failure::FilterNarrowed(share) => self.parts.expiratory.clog(share),
+            Failure::Disconnected => self.parts.circuit.fail(OPEN_END_L_PER_S),
+            Failure::Leak(flow) => self.parts.circuit.fail(flow),
+            Failure::InspiratoryValveStuck(percent) => self.parts.valve.stick_at(percent),
+            Failure::ValveLoose(percent) => self.parts.valve.loosen(percent),
             Failure::BothValvesStuck(percent) => {
-                self.valve.stick_at(percent);
-                self.expiratory.stay_closed();
+                self.parts.valve.stick_at(percent);
+                self.parts.expiratory.stay_closed();
             }
-            Failure::ExpiratoryValveClosed => self.expiratory.stay_closed(),
-            Failure::PeepValveStuck(peep) => self.expiratory.stick_at(peep),
-            Failure::SupplyLost => self.valve.supply(0.0),
-            Failure::SupplyFalls(share) => self.valve.supply(share),
+            Failure::ExpiratoryValveClosed => self.parts.expiratory.stay_closed(),
+            Failure::PeepValveStuck(peep) => self.parts.expiratory.stick_at(peep),
+            Failure::SupplyLost => self.parts.valve.supply(0.0),
+            Failure::SupplyFalls(share) => self.parts.valve.supply(share),
         }
     }
 
     /// Ends every failure: the tube is connected and open, the valves move, the gas supply is back. The PEEP valve takes
     /// the pressure to which it was last turned, the leak what it would be now without a failure.
     pub fn restore(&mut self) {
-        self.lung.occlude(1.0);
-        self.circuit.repair();
-        self.expiratory.repair();
-        self.valve.repair();
+        self.parts.lung.occlude(1.0);
+        self.parts.circuit.repair();
+        self.parts.expiratory.repair();
+        self.parts.valve.repair();
     }
 }
 

@@ -21,7 +21,7 @@ const SIGNALS: [Signal; 3] = [Signal::Airway, Signal::Outlet, Signal::Flow];
 const MOST_DELAYS: usize = SIGNALS.len();
 
 /// The faults of a bench and their state.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Faults {
     scheduled: List<Scheduled, MOST_FAULTS>,
     /// For each fault that delays readings, a line for each signal.
@@ -42,24 +42,34 @@ struct Scheduled {
 }
 
 impl Faults {
-    /// Faults that have not begun; their random numbers come from `seed`.
+    /// As after [`Self::plan`]. Not inlined: it is built in the caller's place.
+    #[inline(never)]
     pub(super) fn new(faults: &[FaultConfig], seed: u64) -> Self {
-        let mut delays = 0;
-        let scheduled = |(place, config): (usize, &FaultConfig)| {
+        let mut planned = Self::default();
+        planned.plan(faults, seed);
+        planned
+    }
+
+    /// Replaces all by faults that have not begun; their random numbers come from `seed`. One after another is built in its place:
+    /// all at once would take most of a chip's stack.
+    pub(super) fn plan(&mut self, faults: &[FaultConfig], seed: u64) {
+        self.scheduled.clear();
+        self.delays.clear();
+        self.last = [0.0; 3];
+        for (place, config) in faults.iter().enumerate() {
             let first = FIRST_STREAM + 3 * place as u64;
             let distorters = core::array::from_fn(|n| Distorter::new(stream(seed, first + n as u64)));
-            let fault = Scheduled { config: *config, active: false, distorters, memo: Memo::NONE, delays };
-            delays += config.delay_ms().map_or(0, |_| SIGNALS.len());
-            fault
-        };
-        Self {
-            scheduled: faults.iter().enumerate().map(scheduled).collect(),
-            delays: faults
-                .iter()
-                .filter_map(FaultConfig::delay_ms)
-                .flat_map(|delay_ms| SIGNALS.map(|_| Delay::new(delay_ms)))
-                .collect(),
-            last: [0.0; 3],
+            let delays = self.delays.len();
+            self.scheduled.extend([Scheduled {
+                config: *config,
+                active: false,
+                distorters,
+                memo: Memo::NONE,
+                delays,
+            }]);
+            if let Some(delay_ms) = config.delay_ms() {
+                self.delays.extend(SIGNALS.iter().map(|_| Delay::new(delay_ms)));
+            }
         }
     }
 
@@ -122,9 +132,13 @@ impl Bench {
     /// Begins or ends a fault that is no distortion; whether it concerns a part, which [`Self::refail`] sets.
     fn change(&mut self, what: Faulty, begins: bool, time_s: f64) -> bool {
         match what {
-            Faulty::Lung { resistance, compliance } if begins => self.lung.change(resistance, compliance),
-            Faulty::Lung { resistance, compliance } => self.lung.change(1.0 / resistance, 1.0 / compliance),
-            Faulty::Strain(strain) if begins => self.patient.strain(strain, time_s),
+            Faulty::Lung { resistance, compliance } if begins => {
+                self.parts.lung.change(resistance, compliance)
+            }
+            Faulty::Lung { resistance, compliance } => {
+                self.parts.lung.change(1.0 / resistance, 1.0 / compliance)
+            }
+            Faulty::Strain(strain) if begins => self.parts.patient.strain(strain, time_s),
             Faulty::Strain(_) | Faulty::Sensor { .. } => {}
             Faulty::Part(_) | Faulty::SupplySwings { .. } | Faulty::LeakInPhase { .. } => return true,
         }
@@ -147,12 +161,12 @@ impl Bench {
         match what {
             Faulty::SupplySwings { least, hz } => {
                 let fallen = 0.5 - 0.5 * cos(TAU * hz * time_s);
-                self.valve.supply(1.0 - (1.0 - least) * fallen);
+                self.parts.valve.supply(1.0 - (1.0 - least) * fallen);
             }
             Faulty::LeakInPhase { inspiration, l_per_s } if inspiration != u_out => {
-                self.circuit.fail(l_per_s);
+                self.parts.circuit.fail(l_per_s);
             }
-            Faulty::LeakInPhase { .. } => self.circuit.repair(),
+            Faulty::LeakInPhase { .. } => self.parts.circuit.repair(),
             _ => {}
         }
     }

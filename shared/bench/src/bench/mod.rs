@@ -41,6 +41,13 @@ pub fn end_stops(peep: f32) -> f64 {
     f64::from(peep).clamp(*PEEP_RANGE_CMH2O.start(), *PEEP_RANGE_CMH2O.end())
 }
 
+/// The PEEP, cmH2O, of a bench that can be built.
+fn valid(config: &BenchConfig, peep: f32) -> Result<f64, BenchError> {
+    config.validate()?;
+    config::check("peep", f64::from(peep), PEEP_RANGE_CMH2O)?;
+    Ok(f64::from(peep))
+}
+
 /// The true state. Pressures, volume and positions are those at the end of the step; flows are means over it, so that
 /// flow times duration is the volume moved.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -91,6 +98,14 @@ pub struct TickTruth {
 /// A running bench.
 #[derive(Clone, Debug)]
 pub struct Bench {
+    pub(crate) parts: Parts,
+    /// Apart from the parts, since they are most of a bench: a restart plans them in place.
+    faults: Faults,
+}
+
+/// All that a start replaces at once.
+#[derive(Clone, Debug)]
+pub(crate) struct Parts {
     sub_steps: u32,
     /// Share of a sub-step in a step.
     share: f64,
@@ -105,7 +120,6 @@ pub struct Bench {
     outlet: Option<OutletSensor>,
     flow: Option<FlowSensor>,
     patient: Patient,
-    faults: Faults,
     flows: Flows,
 }
 
@@ -119,21 +133,15 @@ struct Flows {
     relief: f64,
 }
 
-impl Bench {
-    /// A bench at rest at `peep` cmH2O, expiratory valve open, inspiratory valve closed. The same `config`, `peep`,
-    /// `seed` (of the sensors' noise and the patient's irregularity) and commands give the same bits on every platform.
-    ///
-    /// # Errors
-    /// As in [`BenchConfig::validate`], and [`BenchError::OutOfRange`] for `peep` outside [`PEEP_RANGE_CMH2O`].
-    pub fn new(config: &BenchConfig, peep: f32, seed: u64) -> Result<Self, BenchError> {
-        config.validate()?;
-        let peep = f64::from(peep);
-        config::check("peep", peep, PEEP_RANGE_CMH2O)?;
+impl Parts {
+    /// The parts of a valid bench at rest at `peep` cmH2O. Not inlined, so that they are on the stack only meanwhile.
+    #[inline(never)]
+    fn new(config: &BenchConfig, peep: f64, seed: u64) -> Self {
         let sub_step_s = STEP_S / f64::from(config.sub_steps);
         let unit = Unit::draw(&config.unit, STEP_S);
         let dead_time_ms = (config.valve.dead_time_ms + unit.dead_time_ms).max(0.0);
         let noise = stream(seed, 0);
-        Ok(Self {
+        Self {
             sub_steps: config.sub_steps,
             share: 1.0 / f64::from(config.sub_steps),
             steps: 0,
@@ -150,74 +158,95 @@ impl Bench {
             outlet: OutletSensor::new(&config.outlet_sensor, peep, stream(seed, OUTLET_STREAM)),
             flow: FlowSensor::new(&config.flow_sensor, stream(seed, FLOW_STREAM)),
             patient: Patient::new(config.patient, seed),
-            faults: Faults::new(&config.faults, seed),
             flows: Flows::default(),
-        })
+        }
+    }
+}
+
+impl Bench {
+    /// A bench at rest at `peep` cmH2O, expiratory valve open, inspiratory valve closed. The same `config`, `peep`,
+    /// `seed` (of the sensors' noise and the patient's irregularity) and commands give the same bits on every platform.
+    ///
+    /// # Errors
+    /// As in [`BenchConfig::validate`], and [`BenchError::OutOfRange`] for `peep` outside [`PEEP_RANGE_CMH2O`].
+    pub fn new(config: &BenchConfig, peep: f32, seed: u64) -> Result<Self, BenchError> {
+        let peep = valid(config, peep)?;
+        Ok(Self { parts: Parts::new(config, peep, seed), faults: Faults::new(&config.faults, seed) })
+    }
+
+    /// Makes it the bench that [`Bench::new`] gives, in its place: on a chip a second one would take most of the stack.
+    ///
+    /// # Errors
+    /// As in [`Bench::new`]; the bench then runs on as it was.
+    pub fn restart(&mut self, config: &BenchConfig, peep: f32, seed: u64) -> Result<(), BenchError> {
+        self.parts = Parts::new(config, valid(config, peep)?, seed);
+        self.faults.plan(&config.faults, seed);
+        Ok(())
     }
 
     /// Turns the mechanical PEEP valve to `peep` cmH2O. Its end stops limit it to [`PEEP_RANGE_CMH2O`]; a value that is
     /// not a number leaves it unchanged.
     pub fn set_peep(&mut self, peep: f32) {
         if !peep.is_nan() {
-            self.expiratory.set_peep(end_stops(peep));
+            self.parts.expiratory.set_peep(end_stops(peep));
         }
     }
 
     /// The PEEP to which the mechanical valve was last turned, cmH2O.
     pub fn peep(&self) -> f32 {
-        self.expiratory.setting() as f32
+        self.parts.expiratory.setting() as f32
     }
 
     /// Makes the patient cough now, with this peak pressure, cmH2O.
     pub fn cough(&mut self, peak: f64) {
         let now = self.time_s();
-        self.patient.cough(peak, now);
+        self.parts.patient.cough(peak, now);
     }
 
     /// Changes the lung now: factors on its resistances and compliances. Its pressure stays.
     pub fn change_lung(&mut self, resistance: f64, compliance: f64) {
-        self.lung.change(resistance, compliance);
+        self.parts.lung.change(resistance, compliance);
     }
 
     /// Draws this flow out of the circuit from now on, L/s, whatever the pressure: a plateau then needs an open valve for as long as
     /// a measurement takes. No sensor sees the flow.
     pub fn draw(&mut self, flow: f64) {
-        self.circuit.draw(flow);
+        self.parts.circuit.draw(flow);
     }
 
     /// Runs 1 ms with the inspiratory valve commanded to `u_in` percent and the expiratory valve open if `u_out`;
     /// returns the sensor's pressure at its end, cmH2O. A command outside 0 to 100 is limited; one that is not finite
     /// closes the valve.
     pub fn step(&mut self, u_in: f32, u_out: bool) -> f32 {
-        if let Some((resistance_factor, compliance_factor)) = self.patient.observe(u_out) {
-            self.lung.change(resistance_factor, compliance_factor);
+        if let Some((resistance_factor, compliance_factor)) = self.parts.patient.observe(u_out) {
+            self.parts.lung.change(resistance_factor, compliance_factor);
         }
         let now = self.time_s();
         if !self.faults.are_none() {
             self.run_faults(now, u_out);
         }
-        let muscle_pressure = self.patient.muscle_pressure(now);
-        self.circuit.change_leak(now);
-        if let Some(factor) = self.patient.secretions(now) {
-            self.lung.set_secretions(factor);
+        let muscle_pressure = self.parts.patient.muscle_pressure(now);
+        self.parts.circuit.change_leak(now);
+        if let Some(factor) = self.parts.patient.secretions(now) {
+            self.parts.lung.set_secretions(factor);
         }
-        self.valve.command(u_in);
-        self.flows = Flows::default();
-        for sub_step in 0..self.sub_steps {
-            self.valve.advance(sub_step);
-            self.expiratory.advance(u_out, self.circuit.pressure());
+        self.parts.valve.command(u_in);
+        self.parts.flows = Flows::default();
+        for sub_step in 0..self.parts.sub_steps {
+            self.parts.valve.advance(sub_step);
+            self.parts.expiratory.advance(u_out, self.parts.circuit.pressure());
             self.move_gas(muscle_pressure);
-            self.sensor.advance(self.circuit.pressure());
+            self.parts.sensor.advance(self.parts.circuit.pressure());
         }
-        self.steps += 1;
-        self.patient.advance(self.time_s());
-        if let Some(outlet) = &mut self.outlet {
-            outlet.advance(self.circuit.pressure(), self.flows.valve * self.share);
+        self.parts.steps += 1;
+        self.parts.patient.advance(self.time_s());
+        if let Some(outlet) = &mut self.parts.outlet {
+            outlet.advance(self.parts.circuit.pressure(), self.parts.flows.valve * self.parts.share);
         }
-        if let Some(sensor) = &mut self.flow {
-            sensor.advance((self.flows.lung + self.flows.leak) * self.share);
+        if let Some(sensor) = &mut self.parts.flow {
+            sensor.advance((self.parts.flows.lung + self.parts.flows.leak) * self.parts.share);
         }
-        let reading = self.sensor.sample(self.unit.offset_after(self.steps));
+        let reading = self.parts.sensor.sample(self.parts.unit.offset_after(self.parts.steps));
         self.distorted(Signal::Airway, reading)
     }
 
@@ -229,65 +258,65 @@ impl Bench {
     /// The sample of the last step from the sensor at the machine's outlet, cmH2O; NaN if there is none. A bench that
     /// has not run yet has a sample too. Its noise is drawn only when it is asked for.
     pub fn outlet_reading(&mut self) -> f32 {
-        let reading = self.outlet.as_mut().map_or(f32::NAN, |outlet| outlet.sample(self.steps));
+        let reading = self.parts.outlet.as_mut().map_or(f32::NAN, |outlet| outlet.sample(self.parts.steps));
         self.distorted(Signal::Outlet, reading)
     }
 
     /// The sample of the last step from the flow sensor at the airway opening, L/s, positive towards the patient; NaN
     /// if there is none. A bench that has not run yet has a sample too. Its noise is drawn only when it is asked for.
     pub fn flow_reading(&mut self) -> f32 {
-        let reading = self.flow.as_mut().map_or(f32::NAN, FlowSensor::sample);
+        let reading = self.parts.flow.as_mut().map_or(f32::NAN, FlowSensor::sample);
         self.distorted(Signal::Flow, reading)
     }
 
     /// Moves the gas for one sub-step.
     fn move_gas(&mut self, muscle_pressure: f64) {
-        let pressure = self.circuit.pressure();
+        let pressure = self.parts.circuit.pressure();
         let mut junction = Junction {
-            storage: self.circuit.storage(),
-            valve: match &self.blower {
-                Some(blower) => self.valve.branch_behind(blower, pressure),
-                None => self.valve.branch(pressure),
+            storage: self.parts.circuit.storage(),
+            valve: match &self.parts.blower {
+                Some(blower) => self.parts.valve.branch_behind(blower, pressure),
+                None => self.parts.valve.branch(pressure),
             },
-            expiratory: self.expiratory.branch(pressure),
-            relief: self.circuit.relief(),
-            leak: self.circuit.leak(),
-            lung: self.lung.branches(pressure, muscle_pressure),
+            expiratory: self.parts.expiratory.branch(pressure),
+            relief: self.parts.circuit.relief(),
+            leak: self.parts.circuit.leak(),
+            lung: self.parts.lung.branches(pressure, muscle_pressure),
         };
         let pressure = junction.solve();
         // Flow into the lung is flow out of the junction.
         let into_lung = junction.lung.map(|compartment| -compartment.flow(pressure));
-        self.circuit.set_pressure(pressure);
-        self.lung.advance(into_lung);
-        if let Some(blower) = &mut self.blower {
+        self.parts.circuit.set_pressure(pressure);
+        self.parts.lung.advance(into_lung);
+        if let Some(blower) = &mut self.parts.blower {
             blower.advance(junction.valve.flow(pressure));
         }
-        self.flows.valve += junction.valve.flow(pressure);
-        self.flows.lung += into_lung[0] + into_lung[1];
-        self.flows.expiratory -= junction.expiratory.flow(pressure);
-        self.flows.leak -= junction.leak.flow(pressure);
-        self.flows.relief -= junction.relief.flow(pressure);
+        self.parts.flows.valve += junction.valve.flow(pressure);
+        self.parts.flows.lung += into_lung[0] + into_lung[1];
+        self.parts.flows.expiratory -= junction.expiratory.flow(pressure);
+        self.parts.flows.leak -= junction.leak.flow(pressure);
+        self.parts.flows.relief -= junction.relief.flow(pressure);
     }
 
     /// The true state.
     pub fn truth(&self) -> Truth {
-        let share = self.share;
-        let muscle_pressure = self.patient.muscle_pressure(self.time_s());
-        let (effort_started_s, efforts) = self.patient.efforts(self.time_s());
+        let share = self.parts.share;
+        let muscle_pressure = self.parts.patient.muscle_pressure(self.time_s());
+        let (effort_started_s, efforts) = self.parts.patient.efforts(self.time_s());
         Truth {
-            airway_pressure: self.circuit.pressure(),
-            sensor_pressure: self.sensor.lagged(),
-            alveolar_pressure: self.lung.alveolar_pressure(muscle_pressure),
+            airway_pressure: self.parts.circuit.pressure(),
+            sensor_pressure: self.parts.sensor.lagged(),
+            alveolar_pressure: self.parts.lung.alveolar_pressure(muscle_pressure),
             muscle_pressure,
-            flow_valve: self.flows.valve * share,
-            flow_lung: self.flows.lung * share,
-            flow_expiratory: self.flows.expiratory * share,
-            flow_leak: self.flows.leak * share,
-            flow_relief: self.flows.relief * share,
-            lung_volume_ml: self.lung.volume_ml(),
-            valve_position: self.valve.stem(),
-            expiratory_opening: self.expiratory.opening(),
-            breath: self.patient.breath(),
+            flow_valve: self.parts.flows.valve * share,
+            flow_lung: self.parts.flows.lung * share,
+            flow_expiratory: self.parts.flows.expiratory * share,
+            flow_leak: self.parts.flows.leak * share,
+            flow_relief: self.parts.flows.relief * share,
+            lung_volume_ml: self.parts.lung.volume_ml(),
+            valve_position: self.parts.valve.stem(),
+            expiratory_opening: self.parts.expiratory.opening(),
+            breath: self.parts.patient.breath(),
             effort_started_s,
             efforts,
         }
@@ -296,24 +325,24 @@ impl Bench {
     /// The part of the true state that recordings store.
     pub fn pressures(&self) -> TickTruth {
         TickTruth {
-            airway_pressure: self.circuit.pressure() as f32,
-            sensor_pressure: self.sensor.lagged() as f32,
-            lung_volume: self.lung.volume_ml() as f32,
+            airway_pressure: self.parts.circuit.pressure() as f32,
+            sensor_pressure: self.parts.sensor.lagged() as f32,
+            lung_volume: self.parts.lung.volume_ml() as f32,
         }
     }
 
     /// Airway pressure only, cmH2O, as in [`Bench::truth`].
     pub fn airway_pressure(&self) -> f64 {
-        self.circuit.pressure()
+        self.parts.circuit.pressure()
     }
 
     /// The present leak, L/s at 30 cmH2O; that of a failure if there is one.
     pub fn leak(&self) -> f64 {
-        self.circuit.stated_leak()
+        self.parts.circuit.stated_leak()
     }
 
     /// Time since the start, s.
     pub fn time_s(&self) -> f64 {
-        self.steps as f64 * STEP_S
+        self.parts.steps as f64 * STEP_S
     }
 }

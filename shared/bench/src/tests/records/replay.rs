@@ -86,9 +86,10 @@ fn bench(values: &Values, breath: &Breath) -> Bench {
         BlowerConfig { drop_cmh2o_per_l2_s2: drop, sag_percent_per_l_per_s: 0.0, speed_lag_ms: speed_lag };
     let sub_step_s = STEP_S / f64::from(config.sub_steps);
     // Blower::new takes the present speed for the set one.
-    bench.blower = Some(Blower::new(&blower, shut_off * breath.speed_before.powf(exponent), sub_step_s));
+    bench.parts.blower =
+        Some(Blower::new(&blower, shut_off * breath.speed_before.powf(exponent), sub_step_s));
     for _ in 0..10 * closing as usize * config.sub_steps as usize {
-        bench.expiratory.advance(false, breath.start);
+        bench.parts.expiratory.advance(false, breath.start);
     }
     bench
 }
@@ -107,11 +108,11 @@ pub(super) fn replay(values: &Values, breath: &Breath, steps: usize) -> Shown {
             let beyond = (command.u_out - dead_zone) / (100.0 - dead_zone);
             opening = if beyond > 0.0 { beyond.powf(curve) } else { 0.0 };
             let speed = (command.speed / breath.speed_before).powf(exponent / 2.0);
-            bench.blower.as_mut().unwrap().set_speed(speed);
+            bench.parts.blower.as_mut().unwrap().set_speed(speed);
         }
         // With this PEEP the valve opens as the record says.
         let pressure = bench.airway_pressure();
-        bench.expiratory.set_peep(pressure + BAND_CMH2O * (1.0 - opening));
+        bench.parts.expiratory.set_peep(pressure + BAND_CMH2O * (1.0 - opening));
         bench.step(u_in, opening > 0.0);
         let flow = sensor.advance(bench.truth().flow_valve);
         shown.push((bench.airway_pressure(), flow));
