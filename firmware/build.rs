@@ -8,12 +8,10 @@
 use std::path::PathBuf;
 use std::{env, fs, io};
 
-/// A board: its feature, its memory regions, and those of the image for the desk if its chip has room for that.
-type BoardMemory = (&'static str, &'static str, Option<&'static str>);
-
-const BOARDS: [BoardMemory; 2] = [
-    ("STM32F405", "memory/stm32f405.x", Some("memory/stm32f405-desk.x")),
-    ("STM32F446", "memory/stm32f446.x", None),
+/// A board's feature, its memory regions, and those of its image for the desk.
+const BOARDS: [[&str; 3]; 2] = [
+    ["STM32F405", "memory/stm32f405.x", "memory/stm32f405-desk.x"],
+    ["STM32F446", "memory/stm32f446.x", "memory/stm32f446-desk.x"],
 ];
 
 /// Variable with the public key.
@@ -25,18 +23,12 @@ const PLANT_BYTES: usize = 16;
 
 fn main() -> io::Result<()> {
     let chosen: Vec<_> =
-        BOARDS.iter().filter(|(board, ..)| env::var_os(format!("CARGO_FEATURE_{board}")).is_some()).collect();
-    let [(_, map, desk)] = chosen[..] else {
-        let boards = BOARDS.map(|(board, ..)| board.to_lowercase()).join(", ");
+        BOARDS.iter().filter(|[board, ..]| env::var_os(format!("CARGO_FEATURE_{board}")).is_some()).collect();
+    let [[_, map, desk]] = chosen[..] else {
+        let boards = BOARDS.map(|[board, ..]| board.to_lowercase()).join(", ");
         return Err(io::Error::other(format!("select exactly one board with --features: {boards}")));
     };
-    let map = if env::var_os("CARGO_FEATURE_DESK").is_some() {
-        desk.ok_or_else(|| {
-            io::Error::other("this board's flash has no room for the image for the desk: use the main board")
-        })?
-    } else {
-        *map
-    };
+    let map = if env::var_os("CARGO_FEATURE_DESK").is_some() { desk } else { map };
     println!("cargo::rerun-if-changed={map}");
     println!("cargo::rerun-if-changed=../memory.x");
     let folder = env::var_os("OUT_DIR").map(PathBuf::from);

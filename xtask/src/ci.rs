@@ -47,7 +47,7 @@ const CHIP: &[Step] = &[
     step("clippy-board", &[CHIP_CLIPPY, "-p firmware --features stm32f405", DENY_WARNINGS]),
     step("clippy-hil", &[CHIP_CLIPPY, "-p firmware --features stm32f405,hil,cost", DENY_WARNINGS]),
     step("clippy-desk", &[CHIP_CLIPPY, "-p firmware --features stm32f405,desk", DENY_WARNINGS]),
-    step("clippy-f446", &[CHIP_CLIPPY, "-p firmware --features stm32f446", DENY_WARNINGS]),
+    step("clippy-f446", &[CHIP_CLIPPY, "-p firmware --features stm32f446,desk", DENY_WARNINGS]),
     step("clippy-shim", &[CHIP_CLIPPY, "-p shim", DENY_WARNINGS]),
     step("firmware", &["xtask firmware"]),
     // The test step runs these tests in debug; here the chip's optimisation must give the same bits.

@@ -22,10 +22,13 @@ struct Section {
 
 /// Memory regions of the main board, and of its image for the desk.
 pub const MAIN_BOARD: &str = "firmware/memory/stm32f405.x";
-const DESK: &str = "firmware/memory/stm32f405-desk.x";
+pub const DESK: &str = "firmware/memory/stm32f405-desk.x";
 
-/// Feature and memory regions of the other boards, which are built as a check.
-const OTHER_BOARDS: [(&str, &str); 1] = [("stm32f446", "firmware/memory/stm32f446.x")];
+/// Images of the other boards: name, features, memory regions.
+const OTHER_BOARDS: [[&str; 3]; 2] = [
+    ["stm32f446", "stm32f446", "firmware/memory/stm32f446.x"],
+    ["stm32f446-desk", "stm32f446,desk", "firmware/memory/stm32f446-desk.x"],
+];
 
 /// Variable with the public key whose weights the firmware runs.
 const KEY: &str = "EUPNEA_WEIGHTS_KEY";
@@ -73,8 +76,8 @@ pub fn run(shell: &Shell) -> Result<()> {
         print!("{}", report(&sections(&read(image)?)?, &regions)?);
     }
     println!("{}: for QEMU", images.shim.display());
-    for (board, map) in OTHER_BOARDS {
-        let image = compile(shell, board, &["--no-default-features", "--features", board])?;
+    for [name, features, map] in OTHER_BOARDS {
+        let image = compile(shell, name, &["--no-default-features", "--features", features])?;
         let Size { flash, ram } = size(&image, Path::new(map))?;
         println!("{}: flash {flash}, RAM {ram} bytes", image.display());
     }
@@ -168,13 +171,23 @@ fn read(path: &Path) -> Result<Vec<u8>> {
 pub fn size(image: &Path, map: &Path) -> Result<Size> {
     let text = String::from_utf8(read(map)?)?;
     let (regions, sections) = (memory::regions(&text)?, sections(&read(image)?)?);
-    // The linker takes the first map that it finds.
+    let [flash, ram, a, b] = ["FLASH", "RAM", "SLOT_A", "SLOT_B"].map(|name| memory::find(&regions, name));
+    let ([flash, ram], slots) = ([flash?, ram?], [a?, b?]);
+    // The linker takes the first map that it finds, and lays a section over the weights if it is told to.
     for section in &sections {
-        let placed = ["FLASH", "RAM"].map(|name| memory::find(&regions, name));
-        let fits = placed.into_iter().flatten().any(|region| region.contains(section.address));
-        ensure!(fits, "{} of {} is outside the regions of {}", section.name, image.display(), map.display());
+        let fits = [flash, ram].iter().any(|region| region.contains(section.address));
+        let over = |slot: &&Region| {
+            section.address < slot.origin + slot.length && slot.origin < section.address + section.bytes
+        };
+        ensure!(
+            fits && !slots.iter().any(over),
+            "{} of {} is outside the regions of {}",
+            section.name,
+            image.display(),
+            map.display()
+        );
     }
-    Ok(taken(&sections, memory::find(&regions, "RAM")?))
+    Ok(taken(&sections, ram))
 }
 
 fn taken(sections: &[Section], ram: &Region) -> Size {

@@ -64,12 +64,14 @@ fn number(text: &str) -> Result<u64> {
 mod tests {
     use super::*;
 
-    /// The regions of each board and image, and the size of its flash, bytes.
-    const CHIPS: [(&str, u64); 3] = [
+    /// The regions of each board and image, and the size of its flash, bytes. The last two are images for the desk.
+    const CHIPS: [(&str, u64); 4] = [
         (include_str!("../../firmware/memory/stm32f405.x"), 1024 * 1024),
-        (include_str!("../../firmware/memory/stm32f405-desk.x"), 1024 * 1024),
         (include_str!("../../firmware/memory/stm32f446.x"), 512 * 1024),
+        (include_str!("../../firmware/memory/stm32f405-desk.x"), 1024 * 1024),
+        (SMALL_DESK, 512 * 1024),
     ];
+    const SMALL_DESK: &str = include_str!("../../firmware/memory/stm32f446-desk.x");
 
     #[test]
     fn units_and_bases_are_read() {
@@ -88,7 +90,7 @@ mod tests {
     #[test]
     fn the_weight_slots_are_the_flashs_last_two_sectors() {
         const SECTOR: u64 = 128 * 1024;
-        for (map, bytes) in CHIPS {
+        for (map, bytes) in CHIPS.into_iter().filter(|(map, _)| *map != SMALL_DESK) {
             let regions = regions(map).unwrap();
             let [flash, a, b] = ["FLASH", "SLOT_A", "SLOT_B"].map(|name| find(&regions, name).unwrap());
             let end = flash.origin + bytes;
@@ -98,6 +100,28 @@ mod tests {
                 regions.iter().find(|region| region.name == "CALIBRATIONS" && region.length > 0);
             let after = calibrations.unwrap_or(a).origin;
             assert_eq!(flash.origin + flash.length, after, "the program ends where its data begins");
+        }
+    }
+
+    #[test]
+    fn the_weight_slots_of_a_small_desk_are_the_flashs_second_and_third_sector() {
+        const SECTOR: u64 = 16 * 1024;
+        let regions = regions(SMALL_DESK).unwrap();
+        let [flash, a, b] = ["FLASH", "SLOT_A", "SLOT_B"].map(|name| find(&regions, name).unwrap());
+        assert_eq!((a.origin, a.length), (flash.origin + SECTOR, SECTOR));
+        assert_eq!((b.origin, b.length), (flash.origin + 2 * SECTOR, SECTOR));
+        assert!(SECTOR >= u64::from(shared::weights::slots::SLOT_BYTES));
+        assert!(
+            SMALL_DESK.contains("\n_stext = ORIGIN(SLOT_B) + LENGTH(SLOT_B);\n"),
+            "the code is behind them"
+        );
+    }
+
+    #[test]
+    fn the_desks_have_the_same_stack_and_room_for_variables() {
+        let [main, small] = [CHIPS[2].0, SMALL_DESK].map(|map| regions(map).unwrap());
+        for name in ["STACK", "RAM"] {
+            assert_eq!(find(&main, name).unwrap(), find(&small, name).unwrap(), "QEMU tests both");
         }
     }
 
@@ -121,12 +145,13 @@ mod tests {
 
     #[test]
     fn the_flight_recorder_fits_into_its_region_on_every_board() {
-        for (map, _) in CHIPS {
+        use shared::recorder::entry::TICK_BYTES;
+        use shared::recorder::{RecorderMemory, SHORT_SLOW_ENTRIES, SLOW_ENTRIES};
+        let whole = size_of::<RecorderMemory>();
+        let short = whole - TICK_BYTES * (SLOW_ENTRIES - SHORT_SLOW_ENTRIES);
+        for ((map, _), needed) in CHIPS.into_iter().zip([whole, whole, short, short]) {
             let room = find(&regions(map).unwrap(), "RECORDER").unwrap().length;
-            assert!(
-                room >= size_of::<shared::recorder::RecorderMemory>() as u64 && room <= 64 * 1024,
-                "{room} bytes"
-            );
+            assert!(room >= needed as u64 && room <= 64 * 1024, "{room} bytes");
         }
     }
 
@@ -155,6 +180,10 @@ mod tests {
             let mut regions = regions(map).unwrap();
             assert_eq!(regions.len(), 10);
             regions.retain(|region| region.length > 0);
+            if map == SMALL_DESK {
+                // The program has a gap for them.
+                regions.retain(|region| !region.name.starts_with("SLOT"));
+            }
             regions.sort_by_key(|region| region.origin);
             for pair in regions.windows(2) {
                 assert!(pair[0].origin + pair[0].length <= pair[1].origin, "{pair:?}");

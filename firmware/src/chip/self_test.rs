@@ -15,6 +15,8 @@ unsafe extern "C" {
     static __ram_start: u8;
     static __ram_end: u8;
     static __flash_start: u8;
+    static __weights_a_start: u8;
+    static __weights_b_end: u8;
 }
 
 /// Length of the program in flash, bytes, and its CRC-32. `cargo xtask firmware` writes them into the finished image; a program
@@ -73,16 +75,22 @@ pub fn is_program_sound() -> Option<bool> {
     if length == u32::MAX {
         return None;
     }
-    let start = addr_of!(__flash_start);
-    let before = (place as usize).wrapping_sub(start as usize);
-    let after = before + size_of::<[u32; 2]>();
-    let rest = (length as usize).checked_sub(after)?;
+    let (start, place) = (addr_of!(__flash_start), place.cast::<u8>());
+    let slots = addr_of!(__weights_a_start)..addr_of!(__weights_b_end);
+    // In a small flash the weights are in the midst of the program.
+    let gap = if slots.start < place { slots } else { start..start };
+    let distance = |from: *const u8, to: *const u8| (to as usize).wrapping_sub(from as usize);
+    let before = [(start, distance(start, gap.start)), (gap.end, distance(gap.end, place))];
+    let checked = before[0].1 + before[1].1 + size_of::<[u32; 2]>();
+    let rest = (length as usize).checked_sub(checked)?;
     let mut digest = CRC_32.digest();
-    // SAFETY: both parts are flash that contains the program, and nothing writes it.
+    // SAFETY: all parts are flash that contains the program, and nothing writes it.
     unsafe {
-        digest.update(core::slice::from_raw_parts(start, before));
+        for (part, bytes) in before {
+            digest.update(core::slice::from_raw_parts(part, bytes));
+        }
         digest.update(&[ERASED; size_of::<[u32; 2]>()]);
-        digest.update(core::slice::from_raw_parts(start.add(after), rest));
+        digest.update(core::slice::from_raw_parts(place.add(size_of::<[u32; 2]>()), rest));
     }
     Some(digest.finalize() == expected)
 }

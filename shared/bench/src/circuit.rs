@@ -31,6 +31,7 @@ pub(super) struct Circuit {
 
 impl Circuit {
     /// A circuit at rest at `pressure`.
+    #[inline(never)]
     pub(super) fn new(config: &CircuitConfig, pressure: f64, sub_step_s: f64) -> Self {
         Self {
             pressure,

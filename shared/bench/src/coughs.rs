@@ -33,6 +33,7 @@ impl Random {
 
 impl Coughs {
     /// The coughs of a patient; random ones draw from `rng`.
+    #[inline(never)]
     pub(super) fn new(config: &PatientConfig, rng: ChaCha8Rng) -> Self {
         let (peak, at_s, duration_s) = (config.cough_cmh2o, config.cough_at_s, config.cough_duration_s);
         if config.coughs_per_hour <= 0.0 || peak <= 0.0 {

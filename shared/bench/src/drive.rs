@@ -42,6 +42,7 @@ pub(super) struct Drive {
 impl Drive {
     /// A drive whose first effort begins with the simulation; it draws from `rng`. `None` for a patient who makes no
     /// efforts or the same one again and again, which needs no state.
+    #[inline(never)]
     pub(super) fn new(config: &PatientConfig, rng: ChaCha8Rng) -> Option<Self> {
         let varies = config.effort_variability_percent > 0.0 || config.double_efforts_percent > 0.0;
         if config.effort_cmh2o <= 0.0 || !varies {

@@ -21,6 +21,7 @@ pub(super) struct FlowSensor {
 
 impl FlowSensor {
     /// A sensor without flow; its noise comes from `rng`. `None` if the machine has none.
+    #[inline(never)]
     pub(super) fn new(config: &FlowSensorConfig, rng: ChaCha8Rng) -> Option<Self> {
         config.present.then(|| Self {
             lag: Lag::new(config.lag_ms * 1e-3, STEP_S, 0.0),

@@ -80,6 +80,7 @@ pub(super) struct Lung {
 
 impl Lung {
     /// A lung at rest at `pressure`.
+    #[inline(never)]
     pub(super) fn new(config: &LungConfig, pressure: f64, sub_step_s: f64) -> Self {
         Self {
             first: Compartment::new(&config.first, pressure, sub_step_s),

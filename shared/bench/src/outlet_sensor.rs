@@ -19,6 +19,7 @@ pub(super) struct OutletSensor {
 
 impl OutletSensor {
     /// A sensor at rest at `pressure`; its noise comes from `rng`. `None` if the machine has none.
+    #[inline(never)]
     pub(super) fn new(config: &OutletSensorConfig, pressure: f64, rng: ChaCha8Rng) -> Option<Self> {
         config.present.then(|| Self {
             sensor: Sensor::new(&config.sensor(), pressure, STEP_S, rng),

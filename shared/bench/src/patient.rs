@@ -30,6 +30,7 @@ pub(super) struct Patient {
 impl Patient {
     /// A patient who has not been ventilated yet, on a venting circuit; irregular efforts and coughs are drawn from
     /// `seed`.
+    #[inline(never)]
     pub(super) fn new(config: PatientConfig, seed: u64) -> Self {
         Self {
             drive: Drive::new(&config, stream(seed, DRIVE_STREAM)),

@@ -27,6 +27,7 @@ pub(super) struct Sensor {
 
 impl Sensor {
     /// A sensor at rest at `pressure`; its noise comes from `rng`.
+    #[inline(never)]
     pub(super) fn new(config: &SensorConfig, pressure: f64, sub_step_s: f64, rng: ChaCha8Rng) -> Self {
         Self {
             lag: Lag::new(config.lag_ms * 1e-3, sub_step_s, pressure),

@@ -78,6 +78,7 @@ pub(super) struct Valve {
 
 impl Valve {
     /// A closed valve with the unit's `dead_time_ms` and `gain` (on the flow).
+    #[inline(never)]
     pub(super) fn new(
         config: &ValveConfig,
         dead_time_ms: f64,

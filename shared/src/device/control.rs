@@ -96,17 +96,23 @@ impl Control {
     pub fn new(kind: DeviceKind, period_us: u32, core_hz: u32) -> Result<Self, Refusal> {
         let pid = Pid::new(KNOWN_GOOD, period_us).map_err(|_| Refusal::Gains)?;
         let breath = Breath::new(&Settings::default(), period_us)?;
-        let controller = ControllerChoice::Pid(KNOWN_GOOD);
-        Ok(Self {
+        Ok(Self::standby(kind, period_us, core_hz, pid, breath))
+    }
+
+    /// A device in standby that runs a PID. Not inlined, and apart from its errors: it is built in the caller's place.
+    #[inline(never)]
+    fn standby(kind: DeviceKind, period_us: u32, core_hz: u32, pid: Pid, breath: Breath) -> Self {
+        Self {
             kind,
             // No variables, which would be copied from the stack; the smallest one is nearly used up here.
-            state: VentilatorState::at_rest(breath, ControllerState::new),
+            ventilator: with_pid(period_us, pid),
+            state: VentilatorState::at_rest(breath, || ControllerState::new()),
             learned: None,
             status: Status {
                 mode: Mode::Standby,
                 moves_valves: false,
                 resumes: false,
-                controller,
+                controller: ControllerChoice::Pid(KNOWN_GOOD),
                 exploration: None,
                 sweep: None,
             },
@@ -125,8 +131,7 @@ impl Control {
             confirmed: false,
             seed: None,
             peep: None,
-            ventilator: with_pid(period_us, pid),
-        })
+        }
     }
 
     /// Lets the first breath run the learned controller, if it was made for this control period. Apart from [`Self::new`],

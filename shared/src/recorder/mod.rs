@@ -3,7 +3,7 @@
 //! | part | contains | entry |
 //! |---|---|---|
 //! | [`RecorderPart::Fast`] | the last 2,000 control ticks of a ventilation: 2 s | [`TickEntry`], 6 bytes |
-//! | [`RecorderPart::Slow`] | every 20th tick of the last 60 s, with the highest pressure of 20 | [`TickEntry`], 6 bytes |
+//! | [`RecorderPart::Slow`] | every 20th tick of the last 60 s (30 with the feature `short-recorder`), with the highest pressure of 20 | [`TickEntry`], 6 bytes |
 //! | [`RecorderPart::Log`] | the last 1,024 events | [`LogEntry`], 12 bytes |
 //!
 //! # When it records
@@ -47,7 +47,9 @@ pub use writer::{Boot, LOG_INTERVAL, Recorder, RecorderInput};
 /// Capacity of [`RecorderPart::Fast`], ticks.
 pub const FAST_ENTRIES: usize = 2000;
 /// Capacity of [`RecorderPart::Slow`], entries.
-pub const SLOW_ENTRIES: usize = 3000;
+pub const SLOW_ENTRIES: usize = if cfg!(feature = "short-recorder") { SHORT_SLOW_ENTRIES } else { 3000 };
+/// The same with the feature `short-recorder`.
+pub const SHORT_SLOW_ENTRIES: usize = 1500;
 /// Capacity of [`RecorderPart::Log`], events.
 pub const LOG_ENTRIES: usize = 1024;
 /// Ticks per entry of [`RecorderPart::Slow`].

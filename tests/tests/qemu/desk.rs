@@ -63,7 +63,7 @@ fn golden_traces_of_any_bench_are_the_hosts_bit_for_bit() {
         let settings = breaths().settings;
         let mut here = BenchSource::new(&bench, controller(), &settings, 1000, breaths().seed).unwrap();
         let here = recorded(&mut here);
-        let (_board, device) = on_the_desk(&bench);
+        let (_board, device) = on_the_desk(config("desk"), &bench);
         let there = recorded(&mut PortSource::new(device, breaths().seed).unwrap());
         let (here, there) = (here.recording, there.recording);
         assert!(here.pressure.len() > 2_500, "{}", bench.name);

@@ -100,34 +100,80 @@ fn a_stack_that_overflows_is_reported_and_the_recorder_keeps_the_ticks_before() 
     assert!(blackbox.fast.ticks().all(|tick| tick.activity == Activity::Ventilating));
 }
 
+/// What must be left of a stack, bytes.
+const RESERVE: usize = 4 * 1024;
+
+/// Bytes of the stack that a board has used: the start painted the rest.
+fn used_stack(firmware: &str, board: &Emulator) -> usize {
+    const PAINT: [u8; 4] = 0xCCCC_CCCC_u32.to_le_bytes();
+    let [bottom, top] = ["_stack_end", "_stack_start"].map(|name| symbol(&image(firmware), name).unwrap());
+    let stack = debugger(board).read(bottom, (top - bottom) as usize).unwrap();
+    let unused = 4 * stack.as_chunks().0.iter().take_while(|word| **word == PAINT).count();
+    let used = stack.len() - unused;
+    println!("{firmware}: {used} of {} bytes of the stack are used", stack.len());
+    assert!(
+        used > 0 && unused >= RESERVE,
+        "{firmware}: {used} of {} bytes of the stack are used",
+        stack.len()
+    );
+    used
+}
+
+fn store(device: &mut Device, version: u32) {
+    device.upload(&weights::signed(version, weights::TRUSTED), &Progress::silent()).unwrap();
+}
+
+/// Ventilates for some breaths, and reads the flight recorder.
+fn ventilate(device: &mut Device) {
+    device.telemetry(true).unwrap();
+    start(device).unwrap();
+    Samples::default().until(device, |sample| sample.breath == 3);
+    device.blackbox(&Progress::silent()).unwrap();
+    device.stop().unwrap();
+}
+
 #[test]
 fn the_smallest_stack_has_a_reserve() {
-    /// Stack of the STM32F446, whose program is the same, and what must be left of it, bytes.
+    /// Stack of the STM32F446, whose program is the same, bytes.
     const SMALLEST: usize = 39 * 1024;
-    const RESERVE: usize = 4 * 1024;
-    const PAINT: [u8; 4] = 0xCCCC_CCCC_u32.to_le_bytes();
     // The image `signed` also verifies signatures, at the start and in a store.
     for firmware in ["hil", "signed"] {
         let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config(firmware) }, &lung());
-        let store = |device: &mut Device, version| {
-            device.upload(&weights::signed(version, weights::TRUSTED), &Progress::silent()).unwrap()
-        };
         store(&mut device, 1);
         device.restart().unwrap();
-        device.telemetry(true).unwrap();
-        start(&mut device).unwrap();
-        Samples::default().until(&device, |sample| sample.breath == 3);
-        device.blackbox(&Progress::silent()).unwrap();
-        device.stop().unwrap();
+        ventilate(&mut device);
         store(&mut device, 2);
-        let [bottom, top] =
-            ["_stack_end", "_stack_start"].map(|name| symbol(&image(firmware), name).unwrap());
-        let stack = debugger(&board).read(bottom, (top - bottom) as usize).unwrap();
-        let unused = 4 * stack.as_chunks().0.iter().take_while(|word| **word == PAINT).count();
-        let used = stack.len() - unused;
-        println!("{firmware}: {used} bytes of the stack are used");
-        assert!(used > 0 && used <= SMALLEST - RESERVE, "{firmware}: {used} bytes of the stack are used");
+        assert!(used_stack(firmware, &board) <= SMALLEST - RESERVE);
     }
+}
+
+#[test]
+fn the_stack_of_the_desk_which_the_small_board_has_too_has_a_reserve() {
+    /// Limit for the variables and the stack in use, bytes.
+    const MOST_RAM: usize = 96 * 1024;
+    // As many faults as fit, one of them with delay lines, later than this test.
+    let faults = "[[faults]]
+        from_s = 1e4
+        what = { sensor = { signal = \"converter\", distortion = { dead_time_ms = 250 } } }\n"
+        .to_owned()
+        + &"[[faults]]
+        from_s = 1e4
+        what = { sensor = { signal = \"airway\", distortion = { noise = 1 } } }\n"
+            .repeat(3);
+    let bench = BenchConfig::from_toml(&faults).unwrap();
+    let desk = || EmulatorConfig { debugger: true, ..config("desk") };
+    let (board, mut device) = on_the_desk(desk(), &bench);
+    store(&mut device, 1);
+    device.restart().unwrap();
+    device.set_bench(&bench.to_bytes()).unwrap();
+    ventilate(&mut device);
+    // A restart of the bench and a store at the same time.
+    device.set_bench(&bench.to_bytes()).unwrap();
+    store(&mut device, 2);
+    let used = used_stack("desk", &board);
+    let [first, end] = ["__ram_start", "__euninit"].map(|name| symbol(&image("desk"), name).unwrap());
+    let variables = (end - first) as usize;
+    assert!(variables + used <= MOST_RAM, "{variables} bytes of variables, {used} of the stack");
 }
 
 #[test]

@@ -101,9 +101,9 @@ fn breathing(config: EmulatorConfig, lung: &BenchConfig) -> (Emulator, Device) {
 
 /// A board that simulates the bench itself, with a lung; nothing is connected to it but the link. At most four times as fast as
 /// real time: while it waits for its host it could run so fast that the host's lease ends between two requests.
-fn on_the_desk(bench: &BenchConfig) -> (Emulator, Device) {
+fn on_the_desk(config: EmulatorConfig, bench: &BenchConfig) -> (Emulator, Device) {
     let pace = Duration::from_millis(PACE_TICKS.into()) / 4;
-    let board = Emulator::start(config("desk"), Paced::new(Silence, pace)).unwrap();
+    let board = Emulator::start(config, Paced::new(Silence, pace)).unwrap();
     let mut device = connect(&board);
     device.set_bench(&bench.to_bytes()).unwrap();
     (board, device)

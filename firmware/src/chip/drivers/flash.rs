@@ -4,7 +4,7 @@
 use core::ptr::addr_of;
 
 use embassy_stm32::Peri;
-use embassy_stm32::flash::{Blocking, Error, Flash};
+use embassy_stm32::flash::{Blocking, Error, Flash, get_flash_regions};
 use embassy_stm32::pac::FLASH;
 use embassy_stm32::peripherals;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
@@ -41,15 +41,28 @@ impl ReadNorFlash for BoardFlash {
 
 impl NorFlash for BoardFlash {
     const WRITE_SIZE: usize = <Flash<'static, Blocking> as NorFlash>::WRITE_SIZE;
-    const ERASE_SIZE: usize = <Flash<'static, Blocking> as NorFlash>::ERASE_SIZE;
+    /// Length of the shortest sectors, bytes.
+    const ERASE_SIZE: usize = 16 * 1024;
 
+    /// Erases whole sectors: sizes differ, and whatever memory.x places has sectors of its own.
     fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
-        uncached(|| NorFlash::erase(&mut self.0, from, to))
+        let end = sector_end(to);
+        uncached(|| NorFlash::erase(&mut self.0, from, end))
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
         uncached(|| NorFlash::write(&mut self.0, offset, bytes))
     }
+}
+
+/// Offset of the end of the sector to which the byte before an offset belongs.
+fn sector_end(offset: u32) -> u32 {
+    let regions = get_flash_regions().iter();
+    let mut around =
+        regions.filter(|region| (region.offset..region.offset + region.size).contains(&(offset - 1)));
+    around
+        .next()
+        .map_or(offset, |region| region.offset + (offset - region.offset).next_multiple_of(region.erase_size))
 }
 
 /// Runs a change of the flash without the data cache, which is empty afterwards.

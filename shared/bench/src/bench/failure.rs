@@ -20,16 +20,16 @@ impl Bench {
             Failure::FilterNarrowed(share) => self.parts.expiratory.clog(share),
             Failure::Disconnected => self.parts.circuit.fail(OPEN_END_L_PER_S),
             Failure::Leak(flow) => self.parts.circuit.fail(flow),
-            Failure::InspiratoryValveStuck(percent) => self.parts.valve.stick_at(percent),
-            Failure::ValveLoose(percent) => self.parts.valve.loosen(percent),
+            Failure::InspiratoryValveStuck(percent) => self.valve.stick_at(percent),
+            Failure::ValveLoose(percent) => self.valve.loosen(percent),
             Failure::BothValvesStuck(percent) => {
-                self.parts.valve.stick_at(percent);
+                self.valve.stick_at(percent);
                 self.parts.expiratory.stay_closed();
             }
             Failure::ExpiratoryValveClosed => self.parts.expiratory.stay_closed(),
             Failure::PeepValveStuck(peep) => self.parts.expiratory.stick_at(peep),
-            Failure::SupplyLost => self.parts.valve.supply(0.0),
-            Failure::SupplyFalls(share) => self.parts.valve.supply(share),
+            Failure::SupplyLost => self.valve.supply(0.0),
+            Failure::SupplyFalls(share) => self.valve.supply(share),
         }
     }
 
@@ -39,7 +39,7 @@ impl Bench {
         self.parts.lung.occlude(1.0);
         self.parts.circuit.repair();
         self.parts.expiratory.repair();
-        self.parts.valve.repair();
+        self.valve.repair();
     }
 }
 

@@ -161,7 +161,7 @@ impl Bench {
         match what {
             Faulty::SupplySwings { least, hz } => {
                 let fallen = 0.5 - 0.5 * cos(TAU * hz * time_s);
-                self.parts.valve.supply(1.0 - (1.0 - least) * fallen);
+                self.valve.supply(1.0 - (1.0 - least) * fallen);
             }
             Faulty::LeakInPhase { inspiration, l_per_s } if inspiration != u_out => {
                 self.parts.circuit.fail(l_per_s);
@@ -379,6 +379,34 @@ mod tests {
         assert!((strain.muscle_pressure + 80.0).abs() < 1.0);
         let sigh = run("what = { strain = { cmh2o = -30, duration_s = 1 } }", true);
         assert!((sigh.muscle_pressure - 30.0).abs() < 1.0);
+    }
+
+    #[test]
+    fn a_restarted_bench_is_a_new_one_bit_for_bit() {
+        let described = |distortion: &str| {
+            let patient = "[patient]\neffort_cmh2o = 6\neffort_variability_percent = 20\n";
+            let fault = sensor("airway", distortion);
+            BenchConfig::from_toml(&format!("{patient}{fault}\n{fault}\n{}", sensor("flow", "{ noise = 1 }")))
+                .unwrap()
+        };
+        let run = |mut bench: Bench| -> Vec<[u32; 3]> {
+            let step = |ms: u32| {
+                let airway = bench.step(30.0, ms % 300 >= 100);
+                [airway, bench.outlet_reading(), bench.flow_reading()].map(f32::to_bits)
+            };
+            (0..1500).map(step).collect()
+        };
+        let (first, then) = (described("{ dead_time_ms = 30 }"), described("{ dead_time_ms = 20 }"));
+        let mut bench = Bench::new(&first, 5.0, 1).unwrap();
+        for _ in 0..700 {
+            bench.step(60.0, false);
+        }
+        bench.fail(Failure::SupplyLost);
+        let as_it_was = run(bench.clone());
+        assert!(bench.restart(&then, 99.0, 2).is_err());
+        assert_eq!(run(bench.clone()), as_it_was, "no PEEP of a bench");
+        bench.restart(&then, 8.0, 2).unwrap();
+        assert_eq!(run(bench), run(Bench::new(&then, 8.0, 2).unwrap()));
     }
 
     #[test]

@@ -99,11 +99,12 @@ pub struct TickTruth {
 #[derive(Clone, Debug)]
 pub struct Bench {
     pub(crate) parts: Parts,
-    /// Apart from the parts, since they are most of a bench: a restart plans them in place.
+    // Apart from the other parts, since a start replaces one after another: on a chip they are most of a bench.
+    valve: Valve,
     faults: Faults,
 }
 
-/// All that a start replaces at once.
+/// What a start replaces at once.
 #[derive(Clone, Debug)]
 pub(crate) struct Parts {
     sub_steps: u32,
@@ -111,7 +112,6 @@ pub(crate) struct Parts {
     share: f64,
     steps: u64,
     unit: Unit,
-    valve: Valve,
     pub(crate) blower: Option<Blower>,
     pub(crate) expiratory: Expiratory,
     pub(crate) circuit: Circuit,
@@ -133,20 +133,30 @@ struct Flows {
     relief: f64,
 }
 
+/// Duration of a sub-step, s.
+fn sub_step_s(config: &BenchConfig) -> f64 {
+    STEP_S / f64::from(config.sub_steps)
+}
+
+/// The closed inspiratory valve of the unit.
+fn valve(config: &BenchConfig) -> Valve {
+    let unit = Unit::draw(&config.unit, STEP_S);
+    let dead_time_ms = (config.valve.dead_time_ms + unit.dead_time_ms).max(0.0);
+    Valve::new(&config.valve, dead_time_ms, unit.flow_gain, config.sub_steps, sub_step_s(config))
+}
+
 impl Parts {
-    /// The parts of a valid bench at rest at `peep` cmH2O. Not inlined, so that they are on the stack only meanwhile.
+    /// The parts of a valid bench at rest at `peep` cmH2O. Neither this nor the parts' own functions are inlined: each part is built in
+    /// its place.
     #[inline(never)]
     fn new(config: &BenchConfig, peep: f64, seed: u64) -> Self {
-        let sub_step_s = STEP_S / f64::from(config.sub_steps);
-        let unit = Unit::draw(&config.unit, STEP_S);
-        let dead_time_ms = (config.valve.dead_time_ms + unit.dead_time_ms).max(0.0);
+        let sub_step_s = sub_step_s(config);
         let noise = stream(seed, 0);
         Self {
             sub_steps: config.sub_steps,
             share: 1.0 / f64::from(config.sub_steps),
             steps: 0,
-            unit,
-            valve: Valve::new(&config.valve, dead_time_ms, unit.flow_gain, config.sub_steps, sub_step_s),
+            unit: Unit::draw(&config.unit, STEP_S),
             blower: config
                 .blower
                 .as_ref()
@@ -171,7 +181,17 @@ impl Bench {
     /// As in [`BenchConfig::validate`], and [`BenchError::OutOfRange`] for `peep` outside [`PEEP_RANGE_CMH2O`].
     pub fn new(config: &BenchConfig, peep: f32, seed: u64) -> Result<Self, BenchError> {
         let peep = valid(config, peep)?;
-        Ok(Self { parts: Parts::new(config, peep, seed), faults: Faults::new(&config.faults, seed) })
+        Ok(Self::of_valid(config, peep, seed))
+    }
+
+    /// Not inlined, and apart from the errors: it is built in the caller's place.
+    #[inline(never)]
+    fn of_valid(config: &BenchConfig, peep: f64, seed: u64) -> Self {
+        Self {
+            parts: Parts::new(config, peep, seed),
+            valve: valve(config),
+            faults: Faults::new(&config.faults, seed),
+        }
     }
 
     /// Makes it the bench that [`Bench::new`] gives, in its place: on a chip a second one would take most of the stack.
@@ -179,9 +199,23 @@ impl Bench {
     /// # Errors
     /// As in [`Bench::new`]; the bench then runs on as it was.
     pub fn restart(&mut self, config: &BenchConfig, peep: f32, seed: u64) -> Result<(), BenchError> {
-        self.parts = Parts::new(config, valid(config, peep)?, seed);
+        let peep = valid(config, peep)?;
+        self.replace_parts(config, peep, seed);
+        self.replace_valve(config);
         self.faults.plan(&config.faults, seed);
         Ok(())
+    }
+
+    /// Not inlined, so that the new parts are on the stack only meanwhile.
+    #[inline(never)]
+    fn replace_parts(&mut self, config: &BenchConfig, peep: f64, seed: u64) {
+        self.parts = Parts::new(config, peep, seed);
+    }
+
+    /// As [`Self::replace_parts`].
+    #[inline(never)]
+    fn replace_valve(&mut self, config: &BenchConfig) {
+        self.valve = valve(config);
     }
 
     /// Turns the mechanical PEEP valve to `peep` cmH2O. Its end stops limit it to [`PEEP_RANGE_CMH2O`]; a value that is
@@ -230,10 +264,10 @@ impl Bench {
         if let Some(factor) = self.parts.patient.secretions(now) {
             self.parts.lung.set_secretions(factor);
         }
-        self.parts.valve.command(u_in);
+        self.valve.command(u_in);
         self.parts.flows = Flows::default();
         for sub_step in 0..self.parts.sub_steps {
-            self.parts.valve.advance(sub_step);
+            self.valve.advance(sub_step);
             self.parts.expiratory.advance(u_out, self.parts.circuit.pressure());
             self.move_gas(muscle_pressure);
             self.parts.sensor.advance(self.parts.circuit.pressure());
@@ -275,8 +309,8 @@ impl Bench {
         let mut junction = Junction {
             storage: self.parts.circuit.storage(),
             valve: match &self.parts.blower {
-                Some(blower) => self.parts.valve.branch_behind(blower, pressure),
-                None => self.parts.valve.branch(pressure),
+                Some(blower) => self.valve.branch_behind(blower, pressure),
+                None => self.valve.branch(pressure),
             },
             expiratory: self.parts.expiratory.branch(pressure),
             relief: self.parts.circuit.relief(),
@@ -314,7 +348,7 @@ impl Bench {
             flow_leak: self.parts.flows.leak * share,
             flow_relief: self.parts.flows.relief * share,
             lung_volume_ml: self.parts.lung.volume_ml(),
-            valve_position: self.parts.valve.stem(),
+            valve_position: self.valve.stem(),
             expiratory_opening: self.parts.expiratory.opening(),
             breath: self.parts.patient.breath(),
             effort_started_s,
