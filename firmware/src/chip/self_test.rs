@@ -1,5 +1,6 @@
 //! What the start of the chip tests: the program in flash, and RAM.
 
+use core::ops::Range;
 use core::ptr::addr_of;
 
 use shared::checksum::CRC_32;
@@ -75,22 +76,20 @@ pub fn is_program_sound() -> Option<bool> {
     if length == u32::MAX {
         return None;
     }
-    let (start, place) = (addr_of!(__flash_start), place.cast::<u8>());
-    let slots = addr_of!(__weights_a_start)..addr_of!(__weights_b_end);
+    let start = addr_of!(__flash_start);
+    let offset = |address: *const u8| (address as usize).wrapping_sub(start as usize);
+    let place = offset(place.cast());
+    let slots = offset(addr_of!(__weights_a_start))..offset(addr_of!(__weights_b_end));
     // In a small flash the weights are in the midst of the program.
-    let gap = if slots.start < place { slots } else { start..start };
-    let distance = |from: *const u8, to: *const u8| (to as usize).wrapping_sub(from as usize);
-    let before = [(start, distance(start, gap.start)), (gap.end, distance(gap.end, place))];
-    let checked = before[0].1 + before[1].1 + size_of::<[u32; 2]>();
-    let rest = (length as usize).checked_sub(checked)?;
+    let gap = if slots.start < place { slots } else { 0..0 };
+    let after = place + size_of::<[u32; 2]>();
+    let end = (length as usize + gap.len()).max(after);
     let mut digest = CRC_32.digest();
     // SAFETY: all parts are flash that contains the program, and nothing writes it.
-    unsafe {
-        for (part, bytes) in before {
-            digest.update(core::slice::from_raw_parts(part, bytes));
-        }
-        digest.update(&[ERASED; size_of::<[u32; 2]>()]);
-        digest.update(core::slice::from_raw_parts(place.add(size_of::<[u32; 2]>()), rest));
-    }
+    let part = |part: Range<usize>| unsafe { core::slice::from_raw_parts(start.add(part.start), part.len()) };
+    digest.update(part(0..gap.start));
+    digest.update(part(gap.end..place));
+    digest.update(&[ERASED; size_of::<[u32; 2]>()]);
+    digest.update(part(after..end));
     Some(digest.finalize() == expected)
 }

@@ -90,7 +90,8 @@ impl<const PAYLOAD: usize> Journal<PAYLOAD> {
         self.bytes(flash, place).is_some_and(|bytes| bytes.iter().all(|byte| *byte == ERASED))
     }
 
-    /// Sequence number and payload of a valid record.
+    /// Sequence number and payload of a valid record. Not inlined: it would be in the chip's flash once for each caller.
+    #[inline(never)]
     fn record<F: ReadNorFlash>(&self, flash: &mut F, place: u32) -> Option<(u32, [u8; PAYLOAD])> {
         let bytes = self.bytes(flash, place)?;
         let (sequence, payload) = verified(&bytes[..Self::CONTENT])?.split_first_chunk()?;
