@@ -100,6 +100,10 @@ impl Control {
     }
 
     /// A device in standby that runs a PID. Not inlined, and apart from its errors: it is built in the caller's place.
+    #[expect(
+        clippy::redundant_closure,
+        reason = "what the function itself returns is built on the stack and copied"
+    )]
     #[inline(never)]
     fn standby(kind: DeviceKind, period_us: u32, core_hz: u32, pid: Pid, breath: Breath) -> Self {
         Self {

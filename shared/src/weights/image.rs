@@ -81,13 +81,11 @@ pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Resul
 pub fn decode_trusted<T>(
     bytes: &[u8],
     trust: &Trust,
-    mut take: impl FnMut(&Image) -> T,
+    take: impl FnMut(&Image) -> T,
 ) -> Result<T, WeightsError> {
     enclosed(bytes)?;
     trust.verify(bytes)?;
-    let mut taken = Err(WeightsError::Golden);
-    build(bytes, &mut |image| taken = Ok(take(image)))?;
-    taken
+    built(bytes, take)
 }
 
 /// Validates an image and builds its controller. Bytes after the image are ignored.
@@ -95,7 +93,15 @@ pub fn decode_trusted<T>(
 /// # Errors
 /// The first problem, in the order at the top of this file; the signature is not verified ([`decode_trusted`]).
 pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
-    decode_trusted(bytes, &Trust::Development, Image::clone)
+    built(bytes, Image::clone)
+}
+
+/// What `take` makes of a valid image.
+fn built<T>(bytes: &[u8], mut take: impl FnMut(&Image) -> T) -> Result<T, WeightsError> {
+    // Until it is taken.
+    let mut taken = Err(WeightsError::Golden);
+    build(bytes, &mut |image| taken = Ok(take(image)))?;
+    taken
 }
 
 /// Builds the controller of an image, checks its golden values, and lends it to `take`. Not inlined, so that it is on the stack only

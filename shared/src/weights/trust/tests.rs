@@ -6,7 +6,7 @@ use crate::control::features::FeatureSpec;
 use crate::control::network::Network;
 use crate::control::pid::PidGains;
 use crate::control::residual::{Residual, ResidualSpec};
-use crate::weights::{Identity, ImageProblem, decode, decode_trusted, encode};
+use crate::weights::{self, Identity, Image, ImageProblem, decode, encode};
 
 /// The key pair of a seed.
 pub fn pair(seed: u8) -> KeyPair {
@@ -45,6 +45,11 @@ fn mended(mut image: [u8; IMAGE_BYTES]) -> [u8; IMAGE_BYTES] {
     let checksum = crc32(&image[..IMAGE_BYTES - CHECKSUM_BYTES]);
     image[IMAGE_BYTES - CHECKSUM_BYTES..].copy_from_slice(&checksum.to_le_bytes());
     image
+}
+
+/// The image as a device decodes it.
+fn decode_trusted(bytes: &[u8], trust: &Trust) -> Result<Image, WeightsError> {
+    weights::decode_trusted(bytes, trust, Image::clone)
 }
 
 #[test]
