@@ -133,10 +133,10 @@ impl Bench {
     fn change(&mut self, what: Faulty, begins: bool, time_s: f64) -> bool {
         match what {
             Faulty::Lung { resistance, compliance } if begins => {
-                self.parts.lung.change(resistance, compliance)
+                self.parts.lung.change(resistance, compliance);
             }
             Faulty::Lung { resistance, compliance } => {
-                self.parts.lung.change(1.0 / resistance, 1.0 / compliance)
+                self.parts.lung.change(1.0 / resistance, 1.0 / compliance);
             }
             Faulty::Strain(strain) if begins => self.parts.patient.strain(strain, time_s),
             Faulty::Strain(_) | Faulty::Sensor { .. } => {}
