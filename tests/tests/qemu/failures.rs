@@ -159,7 +159,7 @@ fn the_stack_of_the_desk_which_the_small_board_has_too_has_a_reserve() {
         + &"[[faults]]
         from_s = 1e4
         what = { sensor = { signal = \"airway\", distortion = { noise = 1 } } }\n"
-            .repeat(3);
+            .repeat(MOST_FAULTS - 1);
     let bench = BenchConfig::from_toml(&faults).unwrap();
     let desk = || EmulatorConfig { debugger: true, ..config("desk") };
     let (board, mut device) = on_the_desk(desk(), &bench);

@@ -28,7 +28,7 @@ use device::blackbox::{Blackbox, RecordedTicks};
 use device::port::Address;
 use device::{Device, DeviceError};
 use emulator::{Emulator, EmulatorConfig, LockstepPlant, Paced, PlantEnd};
-use plant::bench::{BenchConfig, BenchPlant};
+use plant::bench::{BenchConfig, BenchPlant, MOST_FAULTS};
 use plant::{Plant, Reading};
 use progress::Progress;
 use shared::breath::{PAPER_PIPS, Phase, paper_settings};
