@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use clap::error::ErrorKind;
 use clap::{Command, CommandFactory};
-use host::command::Program;
 
 /// All documents of the tree.
 fn pages() -> Vec<PathBuf> {

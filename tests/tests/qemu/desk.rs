@@ -21,10 +21,9 @@ fn controller() -> Controller {
 
 /// Faults, each from a time on.
 fn faults(faults: &[(f64, &str)]) -> String {
-    faults
-        .iter()
-        .map(|(from_s, what)| format!("[[faults]]\nfrom_s = {from_s}\nwhat = {{ {what} }}\n"))
-        .collect()
+    let fault =
+        |(from_s, what): &(f64, &str)| format!("[[faults]]\nfrom_s = {from_s}\nwhat = {{ {what} }}\n");
+    faults.iter().map(fault).collect::<Vec<_>>().concat()
 }
 
 /// Benches that differ in every part: lungs, machines, a blower, patients, faults of every signal, members of the families.

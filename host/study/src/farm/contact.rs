@@ -42,14 +42,11 @@ impl Contact {
     pub fn source(&self, unit: &Unit, seed: u64) -> Result<PortSource> {
         let mut source = PortSource::new(self.device()?, seed)?;
         let Some(bench) = unit.bench() else { return Ok(source) };
-        let name = format!("unit {}", unit.name);
-        Ok(match &self.served {
-            Some(served) => source.with_plant(name, bench.to_toml(), served.truth()),
-            None => {
-                source.simulate(bench)?;
-                source
-            }
-        })
+        if let Some(served) = &self.served {
+            return Ok(source.with_plant(format!("unit {}", unit.name), bench.to_toml(), served.truth()));
+        }
+        source.simulate(bench)?;
+        Ok(source)
     }
 
     /// Whether the device is in this process, and forgets everything with it.
