@@ -20,8 +20,10 @@ const PLANT: (&str, &str) = ("PLANT", "pipe:python3 examples/python/plant.py");
 /// Runs all examples.
 pub fn run(shell: &Shell) -> Result<()> {
     let python = with_packages(shell)?;
-    // The pipeline would reuse the results of an earlier run.
-    shell.remove_path("target/python/run")?;
+    // The pipeline would reuse the results of an earlier run, and replaces none of its recordings.
+    for earlier in ["run", "plant.parquet", "replay.parquet"] {
+        shell.remove_path(format!("target/python/{earlier}"))?;
+    }
     let trainer = Trainer::build(shell)?;
     pipeline_on_a_plant(&trainer)?;
     open_files(shell, &trainer, &python)?;
