@@ -107,16 +107,16 @@ mod tests {
     #[test]
     fn an_address_of_any_form_leads_to_its_folder() {
         for (address, path) in [
-            ("file:///tmp/a/resources", "/tmp/a/resources"),
-            ("file:/tmp/a", "/tmp/a"),
-            ("file://localhost/tmp/a", "/tmp/a"),
-            ("file:///tmp/with%20blank/%C3%A9", "/tmp/with blank/é"),
+            ("file:///data/a/resources", "/data/a/resources"),
+            ("file:/data/a", "/data/a"),
+            ("file://localhost/data/a", "/data/a"),
+            ("file:///data/with%20blank/%C3%A9", "/data/with blank/é"),
             ("file:///C:/temp/a", "C:/temp/a"),
         ] {
             assert_eq!(folder(address), Some(PathBuf::from(path)), "{address}");
         }
         for address in
-            ["http://example/a", "/tmp/a", "", "file:", "file:///a%2", "file:///a%zz", "file:///%ff"]
+            ["http://example/a", "/data/a", "", "file:", "file:///a%2", "file:///a%zz", "file:///%ff"]
         {
             assert_eq!(folder(address), None, "{address}");
         }

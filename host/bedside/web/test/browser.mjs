@@ -2,11 +2,14 @@
 //
 // No test waits for a time that a slow machine could miss: each waits for a condition, and its deadline only ends a test that hangs.
 
+import assert from "node:assert/strict";
 import { existsSync } from "node:fs";
 import { mkdir } from "node:fs/promises";
 import { dirname, join } from "node:path";
+import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { chromium } from "playwright-core";
+import { Fake } from "../dev/fake.mjs";
 
 const HERE = dirname(fileURLToPath(import.meta.url));
 export const SHOTS = join(HERE, "shots");
@@ -56,6 +59,33 @@ export async function open(browser, url, { held = false, ...options } = {}) {
   page.response = await page.goto(url);
   return page;
 }
+
+/**
+ * The scenes of a file: tests in one browser, each on a page of a fake server of its own. Scripts must not fail, and nothing outside may
+ * be asked for. `usual` are options of the page that all scenes share.
+ */
+export function scenes(usual = {}) {
+  let browser;
+  before(async () => { if (!missing) browser = await launch(); });
+  after(async () => { await browser?.close(); });
+  return (name, options, run) => test(name, { skip: missing, timeout: WHOLE }, async () => {
+    const fake = new Fake(options);
+    const url = await fake.start();
+    const page = await open(browser, url, { ...usual, ...options.page });
+    try {
+      if (!options.listen) await known(page);
+      await run(page, fake, url);
+      assert.deepEqual(page.errors, []);
+      assert.deepEqual(page.outside, []);
+    } finally {
+      await page.context().close();
+      await fake.stop();
+    }
+  });
+}
+
+/** The text of the first element that a selector finds. */
+export const text = (page, selector) => page.locator(selector).first().textContent();
 
 export const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 

@@ -1,35 +1,13 @@
 // The page in a real browser, against the fake server.
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
 import { Fake } from "../dev/fake.mjs";
-import { drawn, eventually, flashes, known, launch, missing, open, painted, pass, says, silence, steady, until, updated, WHOLE } from "./browser.mjs";
+import { drawn, eventually, flashes, open, painted, pass, says, scenes, silence, steady, text, until, updated } from "./browser.mjs";
 
-let browser;
-before(async () => { if (!missing) browser = await launch(); });
-after(async () => { await browser?.close(); });
-
-/** Runs a test on a page of a fake server of its own; scripts must not fail, and nothing outside may be asked for. */
-function scene(name, options, run) {
-  test(name, { skip: missing, timeout: WHOLE }, async () => {
-    const fake = new Fake(options);
-    const url = await fake.start();
-    const page = await open(browser, url, options.page);
-    try {
-      if (!options.listen) await known(page);
-      await run(page, fake, url);
-      assert.deepEqual(page.errors, []);
-      assert.deepEqual(page.outside, []);
-    } finally {
-      await page.context().close();
-      await fake.stop();
-    }
-  });
-}
+const scene = scenes();
 
 /** Options of a scene that must not see a silence which the machine makes. */
 const HELD = { page: { held: true } };
-const text = (page, selector) => page.locator(selector).first().textContent();
 const newest = (page) => page.evaluate(() => window.eupnea.devices[0].ring.newest);
 
 scene("waveforms are there, as pixels and as data, and no sample is missing", {}, async (page, fake) => {
@@ -421,7 +399,7 @@ scene("start and stop ask for a confirmation", { ...HELD, steer: true }, async (
 scene("one page steers; another sees who, and a read-only server offers nothing", { steer: true }, async (page, _fake, url) => {
   await page.getByRole("tab", { name: "Settings" }).click();
   await page.getByRole("button", { name: "Take control" }).click();
-  const second = await open(browser, url);
+  const second = await open(page.context().browser(), url);
   await second.getByRole("tab", { name: "Settings" }).click();
   await says(second, ".who", "a browser tab steers the device.");
   assert.ok(await second.locator("#setting-pip").isDisabled());
@@ -435,7 +413,7 @@ scene("one page steers; another sees who, and a read-only server offers nothing"
   await until(page, () => !window.eupnea.devices[0].yours);
   await second.context().close();
   const reader = new Fake();
-  const third = await open(browser, await reader.start());
+  const third = await open(page.context().browser(), await reader.start());
   await third.getByRole("tab", { name: "Settings" }).click();
   await says(third, ".who", /read-only/);
   assert.equal(await third.getByRole("button", { name: "Take control" }).count(), 0);

@@ -1,31 +1,9 @@
 // What a page is told of the time before it was opened, and what lies on the curves, against the fake server.
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
-import { Fake } from "../dev/fake.mjs";
-import { known, launch, missing, open, says, until, WHOLE } from "./browser.mjs";
+import { says, scenes, text, until } from "./browser.mjs";
 
-let browser;
-before(async () => { if (!missing) browser = await launch(); });
-after(async () => { await browser?.close(); });
-
-/** Runs a test on a page of a fake server of its own; scripts must not fail. */
-function scene(name, options, run) {
-  test(name, { skip: missing, timeout: WHOLE }, async () => {
-    const fake = new Fake(options);
-    const page = await open(browser, await fake.start());
-    try {
-      await known(page);
-      await run(page, fake);
-      assert.deepEqual(page.errors, []);
-    } finally {
-      await page.context().close();
-      await fake.stop();
-    }
-  });
-}
-
-const text = (page, selector) => page.locator(selector).first().textContent();
+const scene = scenes();
 
 scene("a marker is a line on the curves at its tick, and the flight recorder is read on demand", {}, async (page) => {
   await until(page, () => window.eupnea.devices[0].ring.end > 2000);

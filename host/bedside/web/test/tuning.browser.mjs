@@ -1,32 +1,10 @@
 // The measurement of margins and its result, in a real browser, against the fake server.
 
 import assert from "node:assert/strict";
-import { after, before, test } from "node:test";
-import { Fake } from "../dev/fake.mjs";
 import { refused, result } from "../dev/margins.mjs";
-import { eventually, known, launch, missing, open, says, until, WHOLE } from "./browser.mjs";
+import { eventually, known, says, scenes, text, until } from "./browser.mjs";
 
-let browser;
-before(async () => { if (!missing) browser = await launch(); });
-after(async () => { await browser?.close(); });
-
-/** Runs a test on a page of a fake server of its own; scripts must not fail. */
-function scene(name, options, run) {
-  test(name, { skip: missing, timeout: WHOLE }, async () => {
-    const fake = new Fake(options);
-    const page = await open(browser, await fake.start(), { held: true });
-    try {
-      await known(page);
-      await run(page, fake);
-      assert.deepEqual(page.errors, []);
-    } finally {
-      await page.context().close();
-      await fake.stop();
-    }
-  });
-}
-
-const text = (page, selector) => page.locator(selector).first().textContent();
+const scene = scenes({ held: true });
 
 /** Takes control of the device, and opens the tab with its margins. */
 async function tune(page) {
