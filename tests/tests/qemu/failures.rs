@@ -161,8 +161,7 @@ fn the_stack_of_the_desk_which_the_small_board_has_too_has_a_reserve() {
         what = { sensor = { signal = \"airway\", distortion = { noise = 1 } } }\n"
             .repeat(MOST_FAULTS - 1);
     let bench = BenchConfig::from_toml(&faults).unwrap();
-    let desk = || EmulatorConfig { debugger: true, ..config("desk") };
-    let (board, mut device) = on_the_desk(desk(), &bench);
+    let (board, mut device) = on_the_desk(EmulatorConfig { debugger: true, ..config("desk") }, &bench);
     store(&mut device, 1);
     device.restart().unwrap();
     device.set_bench(&bench.to_bytes()).unwrap();

@@ -1,7 +1,11 @@
 //! The parameter file and the names of lungs.
 
 use super::all_lungs;
-use crate::{Bench, BenchConfig, BenchError, BlowerConfig, CompartmentConfig, FaultConfig, LeakChange};
+use crate::{
+    Bench, BenchConfig, BenchError, BlowerConfig, CompartmentConfig, FaultConfig, LEAST_SUB_STEPS,
+    LeakChange, MOST_DELAY_MS, MOST_FAULTS, MOST_LEAK_CHANGES,
+};
+use shared::link::refusal::Refusal;
 
 fn refused(text: &str) -> String {
     BenchConfig::from_toml(text).unwrap_err().to_string()
@@ -253,4 +257,20 @@ fn a_bench_is_found_by_its_lung_or_in_its_file() {
     assert_eq!(found("paper").unwrap().len(), 9);
     assert!(matches!(found("none.toml"), Err(BenchError::File { .. })));
     assert!(matches!(found("none"), Err(BenchError::UnknownName(_))));
+}
+
+/// A chip that refuses a bench says what it takes, and so does the page about it; both stand where the constants cannot be used.
+#[test]
+fn what_a_chip_takes_is_said_as_it_is() {
+    let refusal = Refusal::BadBench.to_string();
+    let page = include_str!("../../../../docs/HARDWARE.md").replace('\n', " ");
+    for limit in [
+        format!("{MOST_FAULTS} faults"),
+        format!("{MOST_DELAY_MS} ms"),
+        format!("{MOST_LEAK_CHANGES} changes of the leak"),
+        format!("{LEAST_SUB_STEPS} sub-steps"),
+    ] {
+        assert!(refusal.contains(&limit), "{refusal}: {limit}");
+        assert!(page.contains(&limit), "{limit}");
+    }
 }
