@@ -1,4 +1,4 @@
-//! The only module that defines or names a mathematical function.
+//! The only module that defines or names a mathematical function. Fulfils: same-bits.
 //!
 //! Everything here consists of additions, multiplications, divisions, comparisons and integer operations on the bits.
 //! IEEE 754 defines their results exactly, so host and chip agree in every bit.

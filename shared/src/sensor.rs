@@ -102,6 +102,7 @@ mod tests {
         assert!(Readings::from(at(0.0, 0.0)).airway.abs() < 0.05);
     }
 
+    /// Verifies: broken-wire.
     #[test]
     fn a_broken_wire_and_a_short_circuit_give_no_number() {
         for broken in [0, 100, 4000, 4095, u16::MAX] {

@@ -132,7 +132,7 @@ fields! {
 /// Every setting except PIP, which is first: the settings that the waveforms of a run have in common.
 pub const TEMPLATE_FIELDS: &[Field] = FIELDS.split_at(1).1;
 
-/// Reason for refusing settings. The order of variants and fields is part of the link's protocol: append only.
+/// Reason for refusing settings. The order of variants and fields is part of the link's protocol: append only. Fulfils: settings-bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Error)]
 pub enum SettingsError {
     /// A value is outside its bounds or not a number.

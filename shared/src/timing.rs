@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Nominal timeout of the chip's watchdog, us. Its RC oscillator runs at 17 to 47 kHz (data sheet; nominal 32), so the real
-/// timeout is 34 to 94 ms.
+/// timeout is 34 to 94 ms. Fulfils: tick-watchdog.
 pub const WATCHDOG_US: u32 = 50_000;
 /// Upper bound of the watchdog's real timeout, us.
 pub const WATCHDOG_MAX_US: u32 = 2 * WATCHDOG_US;

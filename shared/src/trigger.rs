@@ -1,4 +1,4 @@
-//! Detects that the patient starts to inhale, so that the next breath follows the effort and not the clock.
+//! Detects that the patient starts to inhale, so that the next breath follows the effort and not the clock. Verifies: no-false-triggers.
 //!
 //! An effort draws gas. In a lung at rest this lowers the airway pressure; in one that is still emptying it first slows the
 //! flow, while the open expiratory valve holds the pressure. Either signal can start the breath. In an expiration both have
@@ -17,14 +17,14 @@ use crate::safety::reading_monitor::MISSING;
 pub const BLOCK: f32 = 0.01;
 /// Blocks between the line and the latest one: an effort must not bend the line at once.
 pub const GAP: usize = 5;
-/// Smallest and largest number of blocks through which the line is drawn.
+/// Smallest and largest number of blocks through which the line is drawn. Fulfils: effort-triggers.
 pub const LINE: (usize, usize) = (12, 24);
 /// Blocks after the inspiration that belong to no line: the expiratory valve opens.
 pub const OPENING: usize = 19;
 /// Blocks that are kept.
 const KEPT: usize = 32;
 /// Multiple of the mean noise of a value below which a deviation of a block of one value can be noise: five standard deviations
-/// of the difference between block and line. Longer blocks are quieter by the root of their length.
+/// of the difference between block and line. Longer blocks are quieter by the root of their length. Fulfils: no-false-triggers.
 const NOISES: f32 = 7.9;
 /// Time constant of the mean noise, s.
 const NOISE_TIME: f32 = 0.2;
@@ -37,7 +37,7 @@ const RISE: f32 = 0.5;
 /// Multiple of a sensor's step that is no effort: a slow change shows as steps, and the line through them is off by one more.
 const STEPS: f32 = 2.0;
 /// Time for which the last value stands for missing ones, s: as long as a pressure sensor counts as sound without readings, so that
-/// no line goes on with another sensor.
+/// no line goes on with another sensor. Fulfils: gaps-in-readings.
 const HELD: f32 = MISSING;
 /// Bias of the inspiratory valve whose flow is less than an effort, percent.
 const LITTLE_BIAS: f32 = 6.0;
@@ -436,6 +436,7 @@ mod tests {
     /// A gap in readings, at each tick.
     type Gap = fn(u32) -> bool;
 
+    /// Verifies: gaps-in-readings.
     #[test]
     fn single_missing_readings_and_short_gaps_hide_no_effort() {
         let gaps: [Gap; 4] = [

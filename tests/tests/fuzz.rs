@@ -255,7 +255,7 @@ fn the_seeds_hold_every_message() {
     }
 }
 
-/// Damaged or random frames in one stream: none is accepted as another frame, and each is counted.
+/// Damaged or random frames in one stream: none is accepted as another frame, and each is counted. Verifies: frame-checks.
 #[test]
 fn no_damaged_frame_gets_through_as_another() {
     let frames: Vec<Vec<u8>> =

@@ -1,5 +1,5 @@
 //! Golden traces: 100 breaths in closed loop must give the committed commands, bit for bit, with any optimisation, on
-//! every machine.
+//! every machine. Verifies: same-bits.
 //!
 //! After an intended change of commands, update them with `EUPNEA_BLESS=1 cargo test -p tests golden`.
 

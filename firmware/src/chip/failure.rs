@@ -1,5 +1,5 @@
 //! Failures of the program (panic, hard fault, stack overflow): the valves go to their safe state, the reason is kept, and
-//! the chip restarts in standby.
+//! the chip restarts in standby. Fulfils: tick-watchdog, stack-guard.
 //!
 //! After the restart nothing moves until a host requests it, and the greeting contains the reason.
 

@@ -1,4 +1,4 @@
-//! The program on the chip: start, the 1 kHz control task, the link task.
+//! The program on the chip: start, the 1 kHz control task, the link task. Fulfils: host-independence.
 //!
 //! | context | priority | work |
 //! |---|---|---|

@@ -1,4 +1,5 @@
 //! The self-test of a device on the virtual bench: each step passes on a sound machine, and fails with an injected fault.
+//! Verifies: self-test.
 
 use plant::bench::{BenchConfig, BenchPlant, Failure};
 use shared::breath::{DEFAULT_PERIOD_US, paper_settings};

@@ -1,4 +1,4 @@
-//! How long ventilation was interrupted, by a calendar clock that runs on while the supply is away.
+//! How long ventilation was interrupted, by a calendar clock that runs on while the supply is away. Verifies: absence-limit.
 //!
 //! While the device ventilates, it notes the clock's time again and again, in memory that outlasts the supply. The next start
 //! compares the newest note with the clock. A clock that is not running, that shows no date or that shows an earlier time than
@@ -7,7 +7,7 @@
 use crate::checksum::CRC_32;
 use crate::recorder::cell::Word;
 
-/// Longest interruption after which ventilation resumes by itself, s.
+/// Longest interruption after which ventilation resumes by itself, s. Fulfils: absence-limit.
 pub const LONGEST_ABSENCE_S: u32 = 15 * 60;
 
 /// Days of each month of a common year.

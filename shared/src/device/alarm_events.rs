@@ -9,7 +9,7 @@ use crate::math;
 use crate::safety::alarms::{ALARMS, Fault};
 use crate::safety::indications::FaultSet;
 
-/// Time between two reports of an alarm that nobody has acknowledged, s.
+/// Time between two reports of an alarm that nobody has acknowledged, s. Fulfils: alarm-repeats.
 pub const REPEAT_TIME: f32 = 5.0;
 
 /// Alarms that have begun, and which of them to report.

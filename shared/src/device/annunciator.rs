@@ -134,7 +134,7 @@ impl Course {
     }
 }
 
-/// State of the alarm signals; [`Annunciator::step`] runs once per tick.
+/// State of the alarm signals; [`Annunciator::step`] runs once per tick. Fulfils: lamps-and-sounder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Annunciator {
     period_us: u32,

@@ -81,7 +81,7 @@ pub struct Control {
     correction: Option<SensorCorrection>,
     /// Correction from the next start of ventilation on.
     next_correction: Option<SensorCorrection>,
-    /// Whether a host has sent settings in this standby.
+    /// Whether a host has sent settings in this standby. Fulfils: chosen-settings.
     confirmed: bool,
     seed: Option<u64>,
     /// PEEP last sent to the plant, cmH2O.
@@ -156,7 +156,7 @@ impl Control {
     }
 
     /// Raises in the first ticks the alarms for an unrequested start (after a supply dip, by the watchdog, or during
-    /// ventilation: `interrupted`), and for a slot with torn or invalid weights.
+    /// ventilation: `interrupted`), and for a slot with torn or invalid weights. Fulfils: restarted, weights-refused.
     pub fn report_boot(&mut self, cause: ResetCause, interrupted: bool, slots: &[SlotState; 2]) {
         if interrupted || matches!(cause, ResetCause::BrownOut | ResetCause::Watchdog) {
             self.raise(Fault::Restarted);
@@ -471,7 +471,7 @@ impl Control {
             return Err(Refusal::FaultLatched);
         }
         if self.state.mode() == Mode::Standby {
-            // Before the first tick nothing is known about the sensors.
+            // Before the first tick nothing is known about the sensors. Fulfils: sensor-at-start.
             if self.tick > 0 && !self.state.has_sensor() {
                 return Err(Refusal::NoSensor);
             }

@@ -23,7 +23,7 @@ struct Holder {
     heard: u32,
 }
 
-/// The lease of a device.
+/// The lease of a device. Fulfils: lease.
 #[derive(Clone, Debug)]
 pub struct Lease {
     /// Ticks for which its holder may be silent.

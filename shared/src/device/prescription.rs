@@ -25,7 +25,7 @@ use crate::reset::ResetCause;
 use crate::settings::{FIELDS, Settings};
 use crate::ventilator::{Mode, Output};
 
-/// Times that ventilation resumes after failures of the program without a completed breath in between.
+/// Times that ventilation resumes after failures of the program without a completed breath in between. Fulfils: resume-count.
 pub const RESUMES: u16 = 3;
 
 /// Shortest interruption after which ventilation does not resume, s.
@@ -115,7 +115,7 @@ fn checksum(sequence: u32, words: &[u32; COUNT]) -> u32 {
     digest.finalize()
 }
 
-/// The memory of the prescription. With any content, [`Prescription::attach`] makes it usable.
+/// The memory of the prescription. With any content, [`Prescription::attach`] makes it usable. Fulfils: kept-settings.
 #[derive(Debug)]
 #[repr(C)]
 pub struct PrescriptionMemory {
@@ -252,7 +252,7 @@ impl<'a> Prescription<'a> {
     }
 
     /// Resumes ventilation if it is due and the supply is sound; call it in every tick in which it is due. Returns the reason
-    /// once the supply has stayed low for too long.
+    /// once the supply has stayed low for too long. Fulfils: resume.
     #[cold]
     pub fn resume(&mut self, control: &mut Control, supply_is_sound: bool) -> Option<ChipEvent> {
         let settings = self.due?;
@@ -302,7 +302,7 @@ impl<'a> Prescription<'a> {
     }
 
     /// Keeps the settings of a breath in its second tick, since the first takes longest of all, and clears them in the first tick
-    /// after ventilation. Call it in every tick before a request is executed, so that a stop is kept before any restart.
+    /// after ventilation. Call it in every tick before a request is executed: a stop is then kept before a restart. Fulfils: first-start.
     #[inline]
     pub fn keep(&mut self, control: &Control, output: &Output) {
         debug_assert!(self.due.is_none() || self.due == self.kept, "what is due is kept");

@@ -451,7 +451,7 @@ impl<'a> Server<'a> {
     }
 }
 
-/// Whether something may be stored, as [`Status::leave`] says. A store may erase a sector, which stalls the chip.
+/// Whether something may be stored, as [`Status::leave`] says. A store may erase a sector, which stalls the chip. Fulfils: store-refused.
 fn may_erase(status: &Status) -> Result<(), Refusal> {
     match (status.leave(), status.mode) {
         (Leave::Erase, _) => Ok(()),

@@ -120,7 +120,7 @@ pub enum Poll<'a> {
     Corrupt(Corrupt),
 }
 
-/// Decodes frames from a stream of bytes; with `N` = [`DECODER_BYTES`] it accepts any message.
+/// Decodes frames from a stream of bytes; with `N` = [`DECODER_BYTES`] it accepts any message. Fulfils: frame-checks.
 #[derive(Clone, Debug)]
 pub struct FrameDecoder<const N: usize> {
     buffer: [u8; N],

@@ -63,7 +63,7 @@ impl Bins {
     }
 }
 
-/// The mean commands and volumes of the last good breaths, and those of the running one.
+/// The mean commands and volumes of the last good breaths, and those of the running one. Fulfils: backup-ventilation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Backup {
     /// Mean commands, without the running inspiration and with it, percent.

@@ -8,9 +8,9 @@ use super::windows::Windows;
 use crate::breath::Moment;
 use crate::settings::Settings;
 
-/// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
+/// Pressure above PEEP at which an expiration counts as incomplete, cmH2O. Fulfils: baseline-high.
 pub const ABOVE_PEEP: f32 = 3.0;
-/// Pressure below PEEP at which PEEP counts as lost, cmH2O.
+/// Pressure below PEEP at which PEEP counts as lost, cmH2O. Fulfils: baseline-low.
 pub const BELOW_PEEP: f32 = 2.0;
 /// Share of an inspiration's gas that may refill the lung in a breath that is compared with others.
 const REFILLS: f32 = 0.2;
@@ -20,7 +20,7 @@ const FALLS: f32 = 0.1;
 pub const DRAWN: f32 = 1.0;
 /// Pressure below PEEP that does not prove a sound baseline while PEEP changes, cmH2O.
 const NEARLY_LOW: f32 = 1.0;
-/// Fraction of the rise from PEEP to PIP that an inspiration must reach.
+/// Fraction of the rise from PEEP to PIP that an inspiration must reach. Fulfils: low-pressure.
 pub const REACHED: f32 = 0.3;
 /// Mean command above which the valve counts as wide open, percent.
 pub const WIDE_OPEN: f32 = 60.0;
@@ -49,7 +49,7 @@ pub const RETURNS: f32 = 2.0;
 pub const CLOSED: f32 = 2.5;
 /// Command above which the pressure of a connected airway must rise, percent.
 pub const FILLING: f32 = 30.0;
-/// Fraction of the earlier compliance below which the tube counts as occluded.
+/// Fraction of the earlier compliance below which the tube counts as occluded. Fulfils: occlusion.
 pub const OCCLUDED: f32 = 1.0 / 3.0;
 /// Share of the delivered volume that passes an open or narrowed tube to the patient, and comes out again. With an occluded one
 /// the gas stays in the circuit.
@@ -83,7 +83,7 @@ const CONNECTED: f32 = 0.05;
 const END_OF_PHASE: f32 = 0.05;
 /// Time in inspirations for which the airway pressure may be lost, s: strong efforts take more gas than there is for a while.
 pub const DISCONNECTED: f32 = 0.6;
-/// The same with a capped command, s.
+/// The same with a capped command, s. Fulfils: disconnection.
 pub const SLOW_DISCONNECTED: f32 = 1.2;
 
 /// Checks the phases of each breath.

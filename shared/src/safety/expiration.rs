@@ -31,7 +31,7 @@ const SAGGED: f32 = 0.5;
 const RELEASE: f32 = 8.0;
 /// Expirations after which a lung that never empties has filled.
 const EVEN: u32 = 10;
-/// Highest command of the compensation of a sag, percent.
+/// Highest command of the compensation of a sag, percent. Fulfils: peep-flow.
 pub const BOUND: f32 = 40.0;
 /// Highest command that makes up for a leak which the flow sensor has measured, percent: at the highest PEEP a large one takes so much.
 pub const LEAK_BOUND: f32 = 80.0;
@@ -49,10 +49,10 @@ const OVERSHOOT: f32 = 2.0;
 pub const LEAK: f32 = 5.0;
 /// Share of the inspired volume that comes out of a tight circuit; efforts need compensation too, but their gas comes out.
 pub const TIGHT: f32 = 0.75;
-/// Share below which the circuit leaks, whatever the compensation: a low PEEP needs none.
+/// Share below which the circuit leaks, whatever the compensation: a low PEEP needs none. Fulfils: leak.
 pub const OPEN: f32 = 0.6;
 /// Compensation of a sag throughout a breath above which PEEP is held by flow alone, percent: the PEEP valve is stuck open,
-/// or the flow sensor does not show the leak.
+/// or the flow sensor does not show the leak. Fulfils: baseline-low.
 pub const HELD: f32 = 20.0;
 /// Pressure below PEEP at the end of such a breath, cmH2O: flow alone raises it no further than to 1 cmH2O below.
 pub const HELD_BELOW: f32 = 0.5 * SAG;

@@ -1,4 +1,4 @@
-//! The valve command, which only the safety filter can make.
+//! The valve command, which only the safety filter can make. Fulfils: valve-command.
 
 use crate::control::COMMAND_MAX;
 use crate::math;
@@ -70,6 +70,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        /// Verifies: valve-command.
         #[test]
         fn no_controller_output_leaves_the_valves_range(asked in prop::num::f32::ANY, u_out: bool) {
             let command = ValveCommand::limited(asked, u_out);

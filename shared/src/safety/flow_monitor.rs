@@ -14,7 +14,7 @@ use super::monitors::{Monitors, in_a_row, ticks};
 use crate::breath::period_s;
 use core::cmp::Ordering;
 
-/// Lowest and highest share of the usual volume per gas of the valve that a sound sensor shows.
+/// Lowest and highest share of the usual volume per gas of the valve that a sound sensor shows. Fulfils: flow-sensor-lost.
 pub const GAIN: (f32, f32) = (0.5, 2.0);
 /// The same share of the valve's model before there is a usual one: the valve of a newborn's machine gives a fifth of what the model
 /// says, and a low compliance leaves half of that in the circuit.
@@ -65,7 +65,7 @@ pub const SOUND: f32 = 5.0;
 pub const GETS_THROUGH: f32 = 0.25;
 /// The smallest usual volume from which this shows, mL.
 const TELLING_BLIND: f32 = 30.0;
-/// Breaths in a row whose gas does not get to the patient that raise the alarm.
+/// Breaths in a row whose gas does not get to the patient that raise the alarm. Fulfils: occlusion.
 pub const BLOCKED_BREATHS: u32 = 2;
 
 /// Places of the phases in a breath's sums: the open and the closed expiratory valve.

@@ -2,7 +2,7 @@
 
 use crate::math;
 
-/// Longest time without a request while ventilating, s.
+/// Longest time without a request while ventilating, s. Fulfils: host-silent.
 pub const SILENCE_MAX: f32 = 10.0;
 
 /// Measures how long the host has been silent.

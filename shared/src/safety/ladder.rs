@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 
 use super::alarms::Fault;
 
-/// Highest command of the capped PID, percent.
+/// Highest command of the capped PID, percent. Fulfils: command-capped.
 pub const CAP: f32 = 40.0;
 /// Halvings of [`CAP`]: in the end 10 %, behind a tube that keeps out the gas of the capped PID as well.
 pub const HALVINGS: u8 = 2;
-/// Consecutive strikes at which the PID replaces the learned controller, unless one has hardly let any gas in.
+/// Consecutive strikes at which the PID replaces the learned controller, unless one has hardly let any gas in. Fulfils: learned-distrusted.
 pub const LEARNED_STRIKES: u32 = 2;
 /// Consecutive clean breaths that lead one level up for the first time; each step up doubles their number.
 pub const CLEAN_BREATHS: u32 = 5;
@@ -45,7 +45,7 @@ pub enum End {
     AtLimitByFirstGas,
 }
 
-/// Position on the ladder; starts at the top.
+/// Position on the ladder; starts at the top. Fulfils: ladder.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ladder {
     level: Level,

@@ -56,7 +56,7 @@ const TRAPPED: f32 = 3.0;
 const TELLING_TIME: f32 = 0.15;
 /// Least share of the model's flow that counts, whatever the flow sensor shows.
 pub const LEAST_MEASURED: f32 = 0.6;
-/// Time for which the pressure may be far lower than predicted, s.
+/// Time for which the pressure may be far lower than predicted, s. Fulfils: no-response.
 pub const UNANSWERED: f32 = 0.04;
 /// Time for which the pressure may stand still against a predicted change, s.
 pub const STANDING: f32 = 0.02;

@@ -8,7 +8,7 @@
 use super::monitors::in_a_row;
 use crate::breath::Moment;
 
-/// Difference at the end of a phase above which one of the sensors is wrong, cmH2O.
+/// Difference at the end of a phase above which one of the sensors is wrong, cmH2O. Fulfils: sensors-disagree.
 pub const DOUBTFUL: f32 = 2.0;
 /// Highest resistance of the tube between them, cmH2O/(L/s): a flow that compensates a leak drops pressure in it.
 pub const TUBE: f32 = 4.0;
@@ -120,6 +120,7 @@ mod tests {
         plateau.judge(5.0, volume)
     }
 
+    /// Verifies: sensors-disagree.
     #[test]
     fn a_wrong_gain_is_found_in_the_second_inspiration_and_the_gas_tells_whose_it_is() {
         for (airway, outlet, wrong) in [

@@ -14,7 +14,7 @@ use crate::breath::period_s;
 pub const BACK_AT_PEEP: f32 = 3.0;
 /// Ticks by which the pressure is extrapolated: at 1 kHz the valve's dead time, in which no command has an effect.
 pub const AHEAD: f32 = 12.0;
-/// Extrapolated pressure above the limit that ends an inspiration, cmH2O: more than noise and a normal rise cause.
+/// Extrapolated pressure above the limit that ends an inspiration, cmH2O: more than noise and a normal rise cause. Fulfils: breath-cut.
 pub const AHEAD_ABOVE: f32 = 5.0;
 /// Weight of a new change in the mean slope.
 pub const SLOPE_SHARE: f32 = 0.2;
@@ -22,7 +22,7 @@ pub const SLOPE_SHARE: f32 = 0.2;
 /// Time above the limit that counts as a spike of noise, s.
 pub const SPIKE: f32 = 0.003;
 /// Time that the pressure may stay above the limit with the expiratory valve open, s: longer than a cough. By then gas has come out
-/// if the valves obey.
+/// if the valves obey. Fulfils: hard-limit.
 pub const VENTING: f32 = 0.7;
 /// That gas, mL: at pressures above the limit an open valve lets out a multiple, a closed or clogged one less.
 pub const OUTFLOW: f32 = 20.0;
@@ -31,7 +31,7 @@ const SEEN: f32 = 0.5;
 /// Time above the limit with the expiratory valve open after which the valves do not obey, whatever the flow sensor shows, s: no
 /// patient strains for so long.
 pub const STRAIN: f32 = 6.0;
-/// Time that the pressure may stay above PEEP without falling in expirations, s.
+/// Time that the pressure may stay above PEEP without falling in expirations, s. Fulfils: sustained-pressure.
 pub const SUSTAINED: f32 = 15.0;
 /// Time after the expiratory valve opens in which the pressure must fall, and for which it may not have fallen after that, s: a cough
 /// is over by then.
@@ -238,6 +238,7 @@ mod tests {
         findings(pressures, venting).enumerate().find(|(_, finding)| *finding != PressureFinding::Normal)
     }
 
+    /// Verifies: breath-cut.
     #[test]
     fn three_milliseconds_above_the_limit_end_the_breath_and_a_spike_does_not() {
         let slow = |n: usize| 30.0 + 0.1 * n as f32;
@@ -246,6 +247,7 @@ mod tests {
         assert_eq!(first((0..200).map(|n| 39.5_f32.min(slow(n))).chain(spikes), false), None);
     }
 
+    /// Verifies: breath-cut.
     #[test]
     fn a_pressure_that_rises_fast_ends_the_breath_before_it_has_crossed_the_limit() {
         let (at, finding) = first((0..60).map(|n| 5.0 + 1.2 * n as f32), false).unwrap();
@@ -376,6 +378,7 @@ mod tests {
         assert_eq!(above(7000, |_| -1.0, |_| false), [None, None], "the expiratory valve has yet to open");
     }
 
+    /// Verifies: hard-limit.
     #[test]
     fn above_the_limit_with_an_open_valve_for_longer_than_a_cough_a_valve_does_not_obey() {
         let stays = (0..1200).map(|n| if n < 400 { 30.0 + 0.05 * n as f32 } else { 45.0 });
@@ -387,6 +390,7 @@ mod tests {
         assert_eq!(closed, Some(PressureFinding::EndInspiration), "the expiratory valve has yet to open");
     }
 
+    /// Verifies: sustained-pressure.
     #[test]
     fn a_pressure_that_never_comes_down_is_found_after_a_quarter_of_a_minute() {
         let mut slow = 5.0;

@@ -7,11 +7,11 @@
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
 
-/// Range of readings that a working sensor can give, cmH2O.
+/// Range of readings that a working sensor can give, cmH2O. Fulfils: reading-range.
 pub const SENSOR_RANGE: (f32, f32) = (-30.0, 110.0);
-/// Largest change between two readings that the sensor's lag allows, cmH2O.
+/// Largest change between two readings that the sensor's lag allows, cmH2O. Fulfils: reading-jumps.
 pub const JUMP_MAX: f32 = 15.0;
-/// Highest standard deviation of a working sensor's noise, cmH2O.
+/// Highest standard deviation of a working sensor's noise, cmH2O. Fulfils: reading-noisy.
 pub const NOISE_MAX: f32 = 0.4;
 /// Mean absolute second difference of white noise with a standard deviation of 1: `sqrt(6) sqrt(2 / pi)`.
 pub const SECOND_DIFFERENCE: f32 = 1.954;
@@ -19,9 +19,9 @@ pub const SECOND_DIFFERENCE: f32 = 1.954;
 pub const NOISE_SHARE: f32 = 0.02;
 /// Good readings that cancel one missing reading.
 pub const MAKE_UP: u32 = 9;
-/// Time for which readings may be missing, s.
+/// Time for which readings may be missing, s. Fulfils: reading-nan.
 pub const MISSING: f32 = 0.005;
-/// Time for which a reading may stay the same to the last bit although the pressure must change, s.
+/// Time for which a reading may stay the same to the last bit although the pressure must change, s. Fulfils: reading-frozen.
 pub const FROZEN: f32 = 0.06;
 /// Time from which a reading stands still, s: longer than a working sensor repeats itself while the pressure changes.
 const STANDS: f32 = 0.02;
@@ -224,6 +224,7 @@ mod tests {
         assert_eq!(bridged, Believed { pressure: Some(12.0), fresh: false, fault: None });
     }
 
+    /// Verifies: reading-nan.
     #[test]
     fn missing_readings_are_a_fault_after_five_milliseconds_or_when_a_tenth_is_missing() {
         let nan = Some(Fault::ReadingNotANumber);
@@ -268,6 +269,7 @@ mod tests {
         assert_eq!(found([5.0, far, far, 110.0, 110.0, 110.0]), Some(Fault::ReadingJumps));
     }
 
+    /// Verifies: reading-jumps.
     #[test]
     fn a_reading_may_jump_by_the_highest_jump_for_each_millisecond_since_the_last() {
         let believed = |readings: &[f32]| {
@@ -283,6 +285,7 @@ mod tests {
         assert_eq!(believed(&[10.0, f32::NAN, 9.9 - 2.0 * JUMP_MAX]), [true, false, false]);
     }
 
+    /// Verifies: reading-noisy.
     #[test]
     fn noise_at_its_bound_is_that_of_a_sound_sensor() {
         let (monitor, state) = monitor(Monitors::ALL);
@@ -294,6 +297,7 @@ mod tests {
         assert_eq!((at_the_bound(noise), at_the_bound(1.01 * noise)), (None, Some(Fault::ReadingNoisy)));
     }
 
+    /// Verifies: reading-frozen.
     #[test]
     fn a_reading_that_stands_still_while_the_pressure_must_change_is_frozen() {
         assert_eq!(found(alive(5.0).take(3000)), None);

@@ -17,9 +17,9 @@ use super::volume_monitor::{DOUBT, judged};
 use super::volumes::{BreathVolumes, Volumes};
 use crate::settings::Settings;
 
-/// Share of the reference below which breaths have become much smaller.
+/// Share of the reference below which breaths have become much smaller. Fulfils: ventilation-falls.
 pub const FALLS: f32 = 0.67;
-/// Share below which a fraction of them is left.
+/// Share below which a fraction of them is left. Fulfils: ventilation-lost.
 pub const LOST: f32 = 0.5;
 /// Least breaths of a group, and the least time that it covers, s.
 pub const GROUP: (u8, f32) = (3, 8.5);
@@ -43,7 +43,7 @@ const PRESSED: f32 = 2.0;
 /// Share of the volume that a lung loses per cmH2O of a higher PEEP: near its full size it is stiffer.
 const STIFFENS: f32 = 0.02;
 
-/// What a breath is driven by.
+/// What a breath is driven by. Fulfils: settled-volumes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Drive {
     /// Rise from PEEP to PIP, and PEEP, cmH2O.
@@ -299,6 +299,7 @@ mod tests {
         }
     }
 
+    /// Verifies: ventilation-falls, ventilation-lost.
     #[test]
     fn a_loss_of_a_third_is_an_alarm_and_urgent_after_a_minute() {
         assert_eq!(Run::new().breaths(60, 270.0), []);
@@ -313,6 +314,7 @@ mod tests {
         assert!(run.until(265.0, Fault::VentilationFalls).is_some_and(|falls| (27..=35).contains(&falls)));
     }
 
+    /// Verifies: ventilation-lost.
     #[test]
     fn a_loss_of_half_is_urgent_in_the_second_group() {
         let mut run = Run::new();
@@ -391,6 +393,7 @@ mod tests {
         assert!(run.until(90.0, Fault::VentilationFalls).is_some_and(|breaths| breaths <= 5));
     }
 
+    /// Verifies: settled-volumes.
     #[test]
     fn what_the_operator_takes_away_is_no_loss() {
         let before = paper_settings(25.0);
@@ -418,6 +421,7 @@ mod tests {
         assert_eq!((takes(more, 280.0), takes(more, 260.0)), (None, falls));
     }
 
+    /// Verifies: settled-volumes.
     #[test]
     fn settings_that_change_in_every_breath_hide_no_loss() {
         let mut run = Run::new();

@@ -4,7 +4,7 @@ use crate::breath::period_s;
 use crate::control::ControlOutput;
 use crate::math;
 
-/// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms.
+/// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms. Fulfils: residual-slew.
 pub const RESIDUAL_SLEW: f32 = 25_000.0;
 
 /// The limit, built for a control period.

@@ -29,7 +29,7 @@ pub const FOLLOWS: f32 = 5.0;
 /// Change over an inspiration, cmH2O, below which a sensor has stood still, if the other one has changed by more than [`FOLLOWS`] and what
 /// the tube drops.
 pub const STOOD: f32 = 1.0;
-/// Time for which they may be further apart, s.
+/// Time for which they may be further apart, s. Fulfils: sensors-disagree.
 pub const APART: f32 = 0.02;
 /// Expirations in a row with such a difference after which the worse sensor is not used.
 pub const DOUBTFUL_BREATHS: u32 = 2;
@@ -45,7 +45,7 @@ pub const AGREED_BREATHS: u32 = 3;
 pub const MOVED: f32 = 2.0;
 /// Time constant of the smoothed readings, s: noise alone must not look like a change.
 const SMOOTHING: f32 = 0.01;
-/// Time without a finding after which a sensor is used again, s.
+/// Time without a finding after which a sensor is used again, s. Fulfils: outlet-sensor-lost.
 pub const SOUND_AGAIN: f32 = 5.0;
 
 /// Checks both sensors and chooses one.

@@ -13,7 +13,7 @@
 use super::breath_monitor::ABOVE_PEEP;
 use crate::breath::Moment;
 
-/// Change of the smoothed pressure within a phase from which it moves, cmH2O: more than noise causes.
+/// Change of the smoothed pressure within a phase from which it moves, cmH2O: more than noise causes. Fulfils: no-response.
 pub const MOVES: f32 = 0.6;
 /// Fall that the expired gas must bring, and that shows a valve which opens, cmH2O.
 pub const FALL: f32 = 3.0;

@@ -47,11 +47,11 @@ use state::{Cut, Start};
 
 /// Tick of a breath in which the last of the judgements about the breath before is made.
 pub const JUDGED: u32 = 6;
-/// Missed ticks within a breath that raise an alarm.
+/// Missed ticks within a breath that raise an alarm. Fulfils: missed-ticks.
 pub const MISSED_MAX: u32 = 5;
 /// Breaths in a row that miss a tick at which the alarm is raised: the PID would control all of them in silence.
 pub const MISSED_BREATHS: u32 = 3;
-/// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure.
+/// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure. Fulfils: high-pressure.
 pub const CUTS_MAX: u32 = 3;
 /// Fraction of that rise from which a reading responds to the gas.
 pub const RESPONSE: f32 = 0.3;

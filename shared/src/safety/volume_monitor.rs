@@ -16,13 +16,13 @@ use crate::settings::Settings;
 pub const BREATHS: u32 = 3;
 /// Share of the leak's gas by which the volumes are in doubt: a leak is known to about so much of its size.
 pub const DOUBT: f32 = 0.03;
-/// Time over which the minute volume is averaged, s.
+/// Time over which the minute volume is averaged, s. Fulfils: minute-volume-low, minute-volume-high.
 pub const AVERAGED: f32 = 30.0;
 /// Shorter time that a mean must cover after a change of the leak, if breaths have been measured for [`AVERAGED`], s.
 pub const RESTARTED: f32 = 10.0;
 /// Smallest volume, in and out, of a breath that gets through, mL: less than a newborn's, and more than the noise of the flow sensor.
 pub const DELIVERED: f32 = 3.0;
-/// Time without such a breath that is apnoea, s, and the breaths as set that it takes at least.
+/// Time without such a breath that is apnoea, s, and the breaths as set that it takes at least. Fulfils: apnoea.
 pub const APNOEA: (f32, f32) = (20.0, 2.0);
 /// Weight of the time in which gas goes one way only: the leak monitor needs some breaths to learn of a leak that has just opened.
 pub const ONE_WAY: f32 = 0.5;
@@ -181,7 +181,7 @@ pub(super) fn judged(inspired: f32, expired: f32) -> (f32, f32) {
     (expired.max(mean), expired.min(mean))
 }
 
-/// Compares a tidal volume with its limits.
+/// Compares a tidal volume with its limits. Fulfils: tidal-volume-low, tidal-volume-high.
 fn tidal_volume(state: &mut VolumeState, breath: BreathVolumes, (low, high): (f32, f32)) -> Option<Fault> {
     let (most, least) = judged(breath.inspired, breath.expired);
     let doubt = DOUBT * breath.leaked;
@@ -274,6 +274,7 @@ mod tests {
         }
     }
 
+    /// Verifies: tidal-volume-low.
     #[test]
     fn three_small_breaths_in_a_row_are_an_alarm_that_ends_with_a_normal_one() {
         let mut run = Run::new(limits((300.0, 0.0), (0.0, 0.0)));
@@ -285,6 +286,7 @@ mod tests {
         assert_eq!(run.breath(310.0), []);
     }
 
+    /// Verifies: tidal-volume-high.
     #[test]
     fn three_large_breaths_in_a_row_are_an_alarm_that_ends_with_a_normal_one() {
         let mut run = Run::new(limits((0.0, 500.0), (0.0, 0.0)));
@@ -365,6 +367,7 @@ mod tests {
         }
     }
 
+    /// Verifies: minute-volume-low, minute-volume-high.
     #[test]
     fn a_minute_volume_is_judged_after_half_a_minute_of_three_breaths_or_more() {
         // 20 breaths a minute: ten in 30 s, and 8 L/min at 400 mL.
@@ -500,6 +503,7 @@ mod tests {
         assert!(is_judged(7.0, 27.0) && !is_judged(6.9, 27.0) && !is_judged(7.0, 26.9));
     }
 
+    /// Verifies: apnoea.
     #[test]
     fn twenty_seconds_without_a_breath_are_apnoea() {
         let mut run = Run::new(paper_settings(20.0));
@@ -549,6 +553,7 @@ mod tests {
         assert_eq!((after(20.9), after(21.0)), (None, Some(Fault::Apnoea)));
     }
 
+    /// Verifies: flow-sensor-lost.
     #[test]
     fn a_lost_flow_sensor_is_the_only_alarm_about_volumes() {
         let mut run = Run::new(limits((300.0, 0.0), (6.0, 0.0)));

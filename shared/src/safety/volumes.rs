@@ -3,7 +3,7 @@
 use super::leak::{KNOWN_LEAK, Loss};
 use crate::math;
 
-/// Share of a breath's ticks that must have a flow reading.
+/// Share of a breath's ticks that must have a flow reading. Fulfils: flow-sensor-lost.
 pub const MEASURED: f32 = 0.9;
 /// Share of the inspired volume that comes out below which the expiratory path is blocked.
 pub const BLOCKED: f32 = 0.2;

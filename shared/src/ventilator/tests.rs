@@ -308,7 +308,7 @@ fn exploration_adds_to_the_command_and_is_recorded() {
 }
 
 /// SAFETY.md on a hand-over: the learned part fades at the slew, and the PID underneath continues, its integral neither
-/// reset nor fitted to the applied command.
+/// reset nor fitted to the applied command. Verifies: residual-slew.
 #[test]
 fn a_hand_over_is_a_ramp_of_the_learned_part_alone() {
     let (learned, pid) = (learned(60.0), ventilator());

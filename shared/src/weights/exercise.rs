@@ -1,5 +1,5 @@
 //! The exercise: a short scripted run of a built controller. Its commands prove that trainer and device compute features,
-//! network and PID alike.
+//! network and PID alike. Fulfils: weights-checks.
 //!
 //! The script is part of the format version. A breath starts with the valve at 5 %. In each tick `k` of [`TICKS`] the
 //! target rises from a PEEP of 8 to a PIP of 25 cmH2O within 64 ticks, and the pressure is `((7 k) mod 16) / 2 - 2` cmH2O below the target; every

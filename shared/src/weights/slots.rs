@@ -24,7 +24,7 @@ use crate::flash::{self, COMMITTED, ERASED, FlashError};
 
 /// Offset of the record in a slot.
 pub const RECORD: u32 = IMAGE_BYTES.next_multiple_of(UNIT) as u32;
-/// Offset of the commit word in a slot.
+/// Offset of the commit word in a slot. Fulfils: weights-commit.
 const COMMIT: u32 = RECORD + UNIT as u32;
 /// Length of a slot's content, bytes.
 pub const SLOT_BYTES: u32 = COMMIT + UNIT as u32;

@@ -1,4 +1,4 @@
-//! Signatures of weights images: whom a device trusts.
+//! Signatures of weights images: whom a device trusts. Fulfils: weights-trust.
 //!
 //! A firmware is built with a public key or without one. With a key it runs only images that carry a valid ed25519 signature of
 //! that key over header (with plant id and image version) and parameters, and stores none whose version is not newer than those of

@@ -44,6 +44,7 @@ fn outputs(board: &Emulator, changes: usize) -> Vec<Outputs> {
     seen
 }
 
+/// Verifies: lamps-and-sounder.
 #[test]
 fn an_urgent_alarm_sounds_and_flashes_until_it_is_acknowledged() {
     let board = Emulator::start(EmulatorConfig { debugger: true, ..config("board") }, Silence).unwrap();

@@ -55,6 +55,7 @@ fn the_boards_own_image_stands_by_names_the_missing_sensor_and_does_not_start() 
     assert!(device.reset_plant(1).is_err(), "a ventilator has no plant");
 }
 
+/// Verifies: same-bits.
 #[test]
 fn golden_trace_of_learned_weights_is_the_hosts_bit_for_bit() {
     let host = trace::run(trace::learned()).unwrap();

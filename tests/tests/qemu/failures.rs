@@ -2,6 +2,7 @@
 
 use super::*;
 
+/// Verifies: tick-watchdog.
 #[test]
 fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
@@ -23,6 +24,7 @@ fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
     assert_ne!(whole, [0xFE, 0xE7]);
 }
 
+/// Verifies: tick-watchdog.
 #[test]
 fn a_program_that_fails_tells_the_reason_after_its_restart() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
@@ -62,6 +64,7 @@ fn a_failure_closes_the_inspiratory_and_opens_the_expiratory_valve() {
     assert_eq!((b.mode(EXPIRATORY), b.level(EXPIRATORY)), (OUTPUT, false), "open");
 }
 
+/// Verifies: stack-guard.
 #[test]
 fn a_stack_that_overflows_stops_safely_before_the_restart() {
     let board = Emulator::start(EmulatorConfig { debugger: true, ..config("board") }, Silence).unwrap();
@@ -79,6 +82,7 @@ fn a_stack_that_overflows_stops_safely_before_the_restart() {
     assert!(failure.starts_with("stack overflow"), "{failure}");
 }
 
+/// Verifies: stack-guard.
 #[test]
 fn a_stack_that_overflows_is_reported_and_the_recorder_keeps_the_ticks_before() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
@@ -132,6 +136,7 @@ fn ventilate(device: &mut Device) {
     device.stop().unwrap();
 }
 
+/// Verifies: stack-guard.
 #[test]
 fn the_smallest_stack_has_a_reserve() {
     /// Stack of the STM32F446, whose program is the same, bytes.
@@ -147,6 +152,7 @@ fn the_smallest_stack_has_a_reserve() {
     }
 }
 
+/// Verifies: stack-guard.
 #[test]
 fn the_stack_of_the_desk_which_the_small_board_has_too_has_a_reserve() {
     /// Limit for the variables and the stack in use, bytes.
@@ -175,6 +181,7 @@ fn the_stack_of_the_desk_which_the_small_board_has_too_has_a_reserve() {
     assert!(variables + used <= MOST_RAM, "{variables} bytes of variables, {used} of the stack");
 }
 
+/// Verifies: crystal.
 #[test]
 fn without_a_crystal_the_board_runs_on_its_internal_oscillator_and_reports_it() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
@@ -189,6 +196,7 @@ fn without_a_crystal_the_board_runs_on_its_internal_oscillator_and_reports_it() 
     Samples::default().until(&device, |sample| sample.breath == 1);
 }
 
+/// Verifies: crystal.
 #[test]
 fn a_crystal_that_stops_is_reported_and_ventilation_continues() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
@@ -206,6 +214,7 @@ fn a_crystal_that_stops_is_reported_and_ventilation_continues() {
     assert_eq!((stops.count(), blackbox.status.boot), (1, 1), "once, without a restart");
 }
 
+/// Verifies: supply-detector.
 #[test]
 fn a_falling_supply_makes_the_valves_safe_at_once_and_is_reported() {
     const INSPIRATORY: u32 = 6;
@@ -226,6 +235,7 @@ fn a_falling_supply_makes_the_valves_safe_at_once_and_is_reported() {
     assert!(happened(&blackbox, Happening::Chip(ChipEvent::SupplyLow)), "{:?}", blackbox.log);
 }
 
+/// Verifies: supply-detector.
 #[test]
 fn a_new_chips_brown_out_level_is_programmed_once() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());

@@ -11,6 +11,7 @@ const TICK_CYCLES: u32 = 168_000;
 /// Cycles per microsecond.
 const MICROSECOND: u32 = 168;
 
+/// Verifies: settings-bounds.
 #[test]
 fn settings_take_effect_at_the_breath_boundary_and_are_refused_with_the_reason() {
     let (_board, mut device) = breathing(config("hil"), &lung());
@@ -59,6 +60,7 @@ fn another_host_is_refused_with_the_holders_name_and_ventilation_goes_on() {
     assert!(device.start().unwrap_err().to_string().contains("no settings were sent"));
 }
 
+/// Verifies: host-independence.
 #[test]
 fn sixty_seconds_of_telemetry_under_a_flooding_host_miss_no_tick_and_no_sample() {
     let (_board, mut device) = breathing(config("hil"), &lung());
@@ -119,6 +121,7 @@ impl<P: PlantEnd> PlantEnd for Counted<P> {
     }
 }
 
+/// Verifies: host-independence.
 #[test]
 fn a_host_that_falls_silent_and_comes_back_finds_the_device_ventilating() {
     let ticks = Arc::new(Ticks::default());

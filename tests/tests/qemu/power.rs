@@ -83,6 +83,7 @@ fn highest_of_two_breaths(device: &mut Device) -> f32 {
     }
 }
 
+/// Verifies: resume.
 #[test]
 fn a_power_cut_in_mid_breath_resumes_within_2_s_with_its_settings_and_the_pid_alone() {
     let folder = tempfile::tempdir().unwrap();
@@ -109,6 +110,7 @@ fn a_power_cut_in_mid_breath_resumes_within_2_s_with_its_settings_and_the_pid_al
     assert_eq!(device.stop().unwrap(), Mode::Standby);
 }
 
+/// Verifies: absence-limit.
 #[test]
 fn a_power_cut_of_more_than_15_min_ends_in_standby_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
@@ -121,6 +123,7 @@ fn a_power_cut_of_more_than_15_min_ends_in_standby_with_the_reason() {
     assert_eq!(device.alarms().unwrap(), AlarmStatus::default());
 }
 
+/// Verifies: kept-settings.
 #[test]
 fn a_prescription_that_was_damaged_without_supply_ends_in_standby_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
@@ -130,6 +133,7 @@ fn a_prescription_that_was_damaged_without_supply_ends_in_standby_with_the_reaso
     stays_in_standby(&mut device, ChipEvent::PrescriptionDamaged);
 }
 
+/// Verifies: absence-limit.
 #[test]
 fn a_clock_that_has_gone_back_ends_in_standby_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
@@ -142,6 +146,7 @@ fn a_clock_that_has_gone_back_ends_in_standby_with_the_reason() {
     stays_in_standby(&mut device, ChipEvent::AbsenceUnknown);
 }
 
+/// Verifies: absence-limit.
 #[test]
 fn without_the_clocks_crystal_a_power_cut_in_mid_breath_ends_in_standby_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
@@ -154,6 +159,7 @@ fn without_the_clocks_crystal_a_power_cut_in_mid_breath_ends_in_standby_with_the
     stays_in_standby(&mut device, ChipEvent::AbsenceUnknown);
 }
 
+/// Verifies: first-start.
 #[test]
 fn without_a_cell_or_after_a_stop_a_power_cut_is_a_first_start() {
     let folder = tempfile::tempdir().unwrap();

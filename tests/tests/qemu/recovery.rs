@@ -230,6 +230,7 @@ fn resumed_after(device: &mut Device) -> u32 {
     blackbox.log.iter().find(resumed).expect("ventilation resumes").tick
 }
 
+/// Verifies: tick-watchdog.
 #[test]
 fn a_control_task_that_hangs_in_mid_breath_resumes_with_its_settings_and_the_pid_alone() {
     let (_board, mut device, debugger) = halted_in_mid_breath();
@@ -252,6 +253,7 @@ fn a_control_task_that_hangs_in_mid_breath_resumes_with_its_settings_and_the_pid
     );
 }
 
+/// Verifies: kept-settings.
 #[test]
 fn a_damaged_prescription_stays_in_standby_with_the_alarm() {
     /// The settings in both copies: after magic word and sequence number, 11 words apart.

@@ -20,6 +20,7 @@ fn tested(device: &mut Device) -> Vec<Outcome> {
     }
 }
 
+/// Verifies: self-test.
 #[test]
 fn a_sound_board_passes_and_damage_to_its_program_prevents_ventilation() {
     use Outcome::{Failed, NotRun, Passed};

@@ -58,6 +58,7 @@ fn of_another_plant() -> [u8; IMAGE_BYTES] {
     bytes
 }
 
+/// Verifies: weights-trust.
 #[test]
 fn a_board_with_a_key_runs_only_signed_weights_that_are_newer() {
     let folder = tempfile::tempdir().unwrap();
@@ -122,6 +123,7 @@ fn torn_and_damaged_images_are_refused_and_the_older_weights_run() {
     assert!(identity.slots.iter().all(|slot| matches!(slot, SlotState::Invalid(_))), "{:?}", identity.slots);
 }
 
+/// Verifies: weights-commit.
 #[test]
 fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
     let folder = tempfile::tempdir().unwrap();

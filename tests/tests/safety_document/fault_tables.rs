@@ -11,23 +11,23 @@ pub fn tables() -> String {
         writeln!(
             text,
             "\nHazard: {hazard}.\n\n\
-             | cause | monitor | response | volume, longest gap | cmH2O |\n\
+             | cause | requirement | response | volume, longest gap | cmH2O |\n\
              |---|---|---|---|---:|"
         )
         .unwrap();
         for case in cases {
-            let (monitors, responses) = reaction(case);
+            let (requirements, responses) = reaction(case);
             let (cause, ventilation, peak) = (case.name, ventilation(case), case.peak_allowed(LIMIT));
-            writeln!(text, "| {cause} | {monitors} | {responses} | {ventilation} | {peak:.0} |").unwrap();
+            writeln!(text, "| {cause} | {requirements} | {responses} | {ventilation} | {peak:.0} |").unwrap();
         }
     }
     text + "\n"
 }
 
-/// The monitors that must detect a fault, and the responses.
+/// The alarms that must detect a fault, and the responses; or what keeps it harmless without an alarm.
 fn reaction(case: &FaultCase) -> (String, String) {
-    if case.monitors.is_empty() {
-        return ("none needed".to_owned(), case.safeguard.to_owned());
+    if let Some(safeguard) = case.safeguard {
+        return (format!("`{}`", safeguard.requirement), safeguard.text.to_owned());
     }
     let alarms: Vec<_> = case.monitors.iter().map(|monitor| monitor.alarm()).collect();
     let ids: Vec<_> = alarms.iter().map(|alarm| format!("`{}`", alarm.id)).collect();

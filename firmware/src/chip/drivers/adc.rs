@@ -1,4 +1,4 @@
-//! Analogue-to-digital converter: the sensors' three channels, converted one after the other in each tick.
+//! Analogue-to-digital converter: the sensors' three channels, converted one after the other in each tick. Fulfils: broken-wire.
 //!
 //! The injected group of ADC1 takes 14 us. The wait is bounded; a converter that does not finish gives no counts, and the
 //! reading is NaN.

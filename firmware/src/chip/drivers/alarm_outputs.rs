@@ -1,4 +1,4 @@
-//! Sounder and alarm lamps.
+//! Sounder and alarm lamps. Fulfils: lamps-and-sounder.
 //!
 //! The sounder has no output that makes it sound: it sounds unless the program silences it in every tick, by a change of level
 //! of its line. So it also sounds if the chip is in reset or dead, if the program hangs, and if the line breaks.

@@ -1,4 +1,4 @@
-//! The crystal, and the internal oscillator (HSI, 16 MHz) in its place.
+//! The crystal, and the internal oscillator (HSI, 16 MHz) in its place. Fulfils: crystal.
 //!
 //! The PLL makes the same core clock from either. The internal oscillator may be off by 1 % at room temperature and by several
 //! percent in the heat, and all times of the breath with it, but ventilation continues.

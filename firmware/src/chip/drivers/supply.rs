@@ -1,5 +1,5 @@
 //! The supply voltage: the detector stops the valves while the core still works, and the brown-out reset holds the chip in reset
-//! below that. The brown-out level is in the option bytes, which a new chip has set to off.
+//! below that. The brown-out level is in the option bytes, which a new chip has set to off. Fulfils: supply-detector.
 
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::pac::{EXTI, FLASH, PWR};

@@ -1,4 +1,4 @@
-//! Both valves: the proportional inspiratory valve by PWM, the expiratory on/off valve by a level.
+//! Both valves: the proportional inspiratory valve by PWM, the expiratory on/off valve by a level. Fulfils: tick-watchdog.
 //!
 //! They are wired so that the de-energised state is the safe one (inspiratory closed, expiratory open). The inputs of their
 //! power stages are pulled low, so that they are also safe while the chip is in reset and its pins float.

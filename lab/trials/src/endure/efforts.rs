@@ -276,6 +276,7 @@ mod tests {
         sum
     }
 
+    /// Verifies: effort-triggers.
     #[test]
     fn breaths_follow_efforts_on_nine_lungs_with_and_without_a_leak() {
         let efforts = follow(&[3.0, 8.0]);
@@ -308,6 +309,7 @@ mod tests {
         sum
     }
 
+    /// Verifies: no-false-triggers.
     #[test]
     fn up_to_the_largest_leak_efforts_alone_start_breaths() {
         for (peep, leak) in [(5.0, 0.9), (5.0, 1.0), (15.0, 0.5), (15.0, 1.0)] {
@@ -322,6 +324,7 @@ mod tests {
         }
     }
 
+    /// Verifies: no-false-triggers.
     #[test]
     fn a_passive_patient_starts_no_breath() {
         let efforts = follow(&[0.0]);

@@ -1,4 +1,5 @@
 //! Backup ventilation after a change of the timing, and a flow sensor that stands still, on lungs of the paper.
+//! Verifies: backup-ventilation.
 
 use super::cases::LIMIT;
 use super::hostile::sound_controller;

@@ -58,6 +58,31 @@ const QUICK_LUNG: f64 = 1.0;
 /// Time for which the patient of a row is disconnected, ms.
 const DISCONNECTED_MS: u32 = 5000;
 
+/// What keeps a fault harmless without an alarm.
+#[derive(Clone, Copy, Debug)]
+pub struct Safeguard {
+    /// Id of the requirement, as the code that fulfils it states it.
+    pub requirement: &'static str,
+    /// In words.
+    pub text: &'static str,
+}
+
+const PEEP_FLOW: Safeguard = Safeguard { requirement: "peep-flow", text: "a flow holds PEEP" };
+const BREATH_CUT: Safeguard =
+    Safeguard { requirement: "breath-cut", text: "the breath is cut at the limit; a cough is no strike" };
+const EFFORT_TRIGGERS: Safeguard =
+    Safeguard { requirement: "effort-triggers", text: "an effort starts the breath" };
+const SETTLED_VOLUMES: Safeguard = Safeguard {
+    requirement: "settled-volumes",
+    text: "breaths are compared with what the new times leave of the volume",
+};
+const LEASE: Safeguard =
+    Safeguard { requirement: "lease", text: "its requests are refused: it has no lease" };
+const SLEW: Safeguard =
+    Safeguard { requirement: "residual-slew", text: "slew, limits of the command, cut at the limit, ladder" };
+const LADDER: Safeguard =
+    Safeguard { requirement: "ladder", text: "limits of the command, cut at the limit, ladder" };
+
 /// A fault and the expected reaction.
 #[derive(Clone, Copy, Debug)]
 pub struct FaultCase {
@@ -68,7 +93,7 @@ pub struct FaultCase {
     /// The alarms that must occur; if empty, pressure and ventilation are judged.
     pub monitors: &'static [Fault],
     /// What keeps it harmless where no alarm must occur.
-    pub safeguard: &'static str,
+    pub safeguard: Option<Safeguard>,
     pub(super) controller: CaseController,
     pub(super) onset_ms: u32,
     /// Settings with this pressure limit, cmH2O.
@@ -166,7 +191,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         name,
         injection,
         monitors,
-        safeguard: "",
+        safeguard: None,
         controller: Sound,
         onset_ms: MID_INSPIRATION_MS,
         settings: usual,
@@ -310,8 +335,8 @@ impl FaultCase {
     }
 
     /// Names what keeps it harmless without an alarm.
-    const fn by(self, safeguard: &'static str) -> Self {
-        Self { safeguard, ..self }
+    const fn by(self, safeguard: Safeguard) -> Self {
+        Self { safeguard: Some(safeguard), ..self }
     }
 
     const fn resumed(self) -> Self {
@@ -408,14 +433,8 @@ const MACHINE: [FaultCase; 19] = [
     // Full ventilation within one breath of the reconnection.
     case("patient disconnected for 5 s", Reconnected(DISCONNECTED_MS), &[Fault::Disconnection])
         .judged_after(DISCONNECTED_MS + BREATH_MS),
-    part("leak of 0.2 L/s", Failure::Leak(0.2), &[])
-        .by("a flow holds PEEP")
-        .at(BEFORE_MS)
-        .never(&[Fault::BaselineLow]),
-    part("leak of 0.5 L/s", Failure::Leak(0.5), &[])
-        .by("a flow holds PEEP")
-        .at(BEFORE_MS)
-        .never(&[Fault::BaselineLow]),
+    part("leak of 0.2 L/s", Failure::Leak(0.2), &[]).by(PEEP_FLOW).at(BEFORE_MS).never(&[Fault::BaselineLow]),
+    part("leak of 0.5 L/s", Failure::Leak(0.5), &[]).by(PEEP_FLOW).at(BEFORE_MS).never(&[Fault::BaselineLow]),
     part("leak of 0.8 L/s", Failure::Leak(0.8), &[Fault::Leak]).at(BEFORE_MS),
     part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure, Fault::BaselineLow])
         .at(0)
@@ -447,45 +466,40 @@ const MACHINE: [FaultCase; 19] = [
 
 /// Patients who breathe or cough, lungs and settings that change: no fault of the machine's.
 const PATIENT: [FaultCase; 17] = [
-    case("cough in every breath", Coughs(25.0), &[])
-        .by("the breath is cut at the limit; a cough is no strike")
-        .with(tight),
-    case("trains of six coughs", CoughTrains(40.0), &[])
-        .by("the breath is cut at the limit; a cough is no strike"),
+    case("cough in every breath", Coughs(25.0), &[]).by(BREATH_CUT).with(tight),
+    case("trains of six coughs", CoughTrains(40.0), &[]).by(BREATH_CUT),
     breathing("efforts of 3 cmH2O, 21 a minute against 20", |patient| efforts(patient, 3.0, 21.0))
-        .by("an effort starts the breath")
+        .by(EFFORT_TRIGGERS)
         .quietly(),
     breathing("efforts of 4 cmH2O, 12.5 a minute against 12", |patient| efforts(patient, 4.0, 12.5))
-        .by("an effort starts the breath")
+        .by(EFFORT_TRIGGERS)
         .with(twelve_a_minute)
         .quietly(),
     breathing("efforts of 4 cmH2O, 16.5 a minute against 16", |patient| efforts(patient, 4.0, 16.5))
-        .by("an effort starts the breath")
+        .by(EFFORT_TRIGGERS)
         .with(sixteen_a_minute)
         .quietly(),
     breathing("efforts of 4 cmH2O, 20.5 a minute against 20", |patient| efforts(patient, 4.0, 20.5))
-        .by("an effort starts the breath")
+        .by(EFFORT_TRIGGERS)
         .quietly(),
-    breathing("efforts of 15 cmH2O", |patient| efforts(patient, 15.0, 14.0))
-        .by("an effort starts the breath")
-        .quietly(),
+    breathing("efforts of 15 cmH2O", |patient| efforts(patient, 15.0, 14.0)).by(EFFORT_TRIGGERS).quietly(),
     breathing("double efforts of 8 cmH2O", |patient| {
         efforts(patient, 8.0, 17.0);
         (patient.effort_variability_percent, patient.double_efforts_percent) = (20.0, 50.0);
     })
-    .by("an effort starts the breath")
+    .by(EFFORT_TRIGGERS)
     .quietly(),
     case("inspiration shortened from 1.5 to 0.4 s", NewTiming(20.0, 0.4), &[])
-        .by("breaths are compared with what the new times leave of the volume")
+        .by(SETTLED_VOLUMES)
         .with(long_inspiration)
         .with_resistance(50.0)
         .quietly(),
     case("inspiration lengthened from 1 to 1.5 s", NewTiming(20.0, 1.5), &[])
-        .by("breaths are compared with what the new times leave of the volume")
+        .by(SETTLED_VOLUMES)
         .with_resistance(50.0)
         .quietly(),
     case("rate raised from 12 to 30 a minute", NewTiming(30.0, 0.7), &[])
-        .by("breaths are compared with what the new times leave of the volume")
+        .by(SETTLED_VOLUMES)
         .with(twelve_a_minute)
         .with_resistance(50.0)
         .quietly(),
@@ -532,15 +546,12 @@ const CONTROL: [FaultCase; 15] = [
         .judged_after(POWERLESS_MS)
         .stays(),
     case("host goes silent during exploration", HostSilent, &[Fault::HostSilent]),
-    case("a second host sends other settings and gains", OtherHost, &[])
-        .by("its requests are refused: it has no lease"),
+    case("a second host sends other settings and gains", OtherHost, &[]).by(LEASE),
     case("one bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
         .run_by(Greedy),
     case("power lost while weights are stored", Weights(Damage::TornStore), &[Fault::WeightsRefused])
         .run_by(Greedy),
-    case("network that always requests 100 % more", Injection::Controller, &[])
-        .by("slew, limits of the command, cut at the limit, ladder")
-        .run_by(Greedy),
+    case("network that always requests 100 % more", Injection::Controller, &[]).by(SLEW).run_by(Greedy),
     case("network that drives each breath to the limit", Injection::Controller, &[Fault::LearnedDistrusted])
         .with(low)
         .run_by(Greedy)
@@ -557,11 +568,9 @@ const CONTROL: [FaultCase; 15] = [
         // The capped PID after three.
         .judged_after(3 * BREATH_MS),
     case("network that alternates between fully open and closed", Injection::Controller, &[])
-        .by("slew, limits of the command, cut at the limit, ladder")
+        .by(SLEW)
         .run_by(Alternating),
-    case("oscillating PID", Injection::Controller, &[])
-        .by("limits of the command, cut at the limit, ladder")
-        .run_by(Ringing),
+    case("oscillating PID", Injection::Controller, &[]).by(LADDER).run_by(Ringing),
 ];
 
 /// What the rows can do to a patient.

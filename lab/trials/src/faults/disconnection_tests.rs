@@ -1,4 +1,5 @@
 //! `disconnection` at any PEEP, rise and inspiratory time: it comes by its own name, first, and within two breaths.
+//! Verifies: disconnection.
 
 use super::hostile::sound_controller;
 use super::injection::Injection;

@@ -1,5 +1,5 @@
 //! `reading-frozen` on the grid of the paper's lungs, the sensors' noise and their quanta: quiet sensors raise no alarm, and a
-//! sensor that freezes is found as soon as the pressure should have changed.
+//! sensor that freezes is found as soon as the pressure should have changed. Verifies: reading-frozen.
 
 use super::cases::LIMIT;
 use super::hostile::sound_controller;

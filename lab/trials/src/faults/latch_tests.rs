@@ -1,5 +1,5 @@
 //! What latches and what must not: only valves that do not obey end ventilation. A patient who strains, a PEEP valve that is stuck,
-//! a soft lung behind a resistance and pressure sensors that both stand still do not.
+//! a soft lung behind a resistance and pressure sensors that both stand still do not. Verifies: hard-limit, sustained-pressure.
 
 use super::hostile::SOUND;
 use super::rig::Attended;

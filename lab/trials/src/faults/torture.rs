@@ -1,5 +1,5 @@
 //! Torture test: random lungs, settings and weights and, in about half of the runs, a random fault. No true airway
-//! pressure may exceed its bound, whatever the network computes.
+//! pressure may exceed its bound, whatever the network computes. Verifies: breath-cut.
 //!
 //! Runs of a few breaths each are drawn from one seed and are independent, so the result depends neither on the number
 //! of threads nor on where an earlier test was stopped.

@@ -1,4 +1,4 @@
-//! The signals against what is remembered of IEC 60601-1-8.
+//! The signals against what is remembered of IEC 60601-1-8. Verifies: lamps-and-sounder.
 
 use std::vec::Vec;
 

@@ -1,4 +1,4 @@
-//! Tests of the prescription: every interruption, at every store.
+//! Tests of the prescription: every interruption, at every store. Verifies: kept-settings.
 
 use super::super::Status;
 use super::super::self_test::Check;
@@ -175,6 +175,7 @@ fn the_sequence_number_wraps() {
     assert_eq!(resumed(&memory, DIP), Some(paper_settings(30.0)));
 }
 
+/// Verifies: resume-count.
 #[test]
 fn a_program_that_fails_before_the_end_of_each_breath_ends_in_standby() {
     let memory = PrescriptionMemory::new();
@@ -198,7 +199,7 @@ fn a_program_that_fails_before_the_end_of_each_breath_ends_in_standby() {
     }
 }
 
-/// A sensor that is silent at the start of a resumption delays the first breath, or backup ventilation begins it.
+/// A sensor that is silent at the start of a resumption delays the first breath, or backup ventilation begins it. Verifies: resume-count.
 #[test]
 fn a_resumption_without_a_reading_keeps_the_settings_and_counts() {
     for (silent, read) in

@@ -47,7 +47,7 @@ enum Running {
     Manoeuvre(Manoeuvre),
 }
 
-/// The self-test of a device.
+/// The self-test of a device. Fulfils: self-test.
 #[derive(Clone, Debug)]
 pub struct SelfTest {
     period_us: u32,

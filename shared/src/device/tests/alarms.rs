@@ -19,6 +19,7 @@ fn alarms(rig: &mut Rig) -> AlarmStatus {
     }
 }
 
+/// Verifies: sensor-at-start.
 #[test]
 fn without_a_sound_pressure_sensor_nothing_starts_and_the_reason_is_indicated() {
     let mut rig = sensing(f32::NAN);
@@ -79,6 +80,7 @@ fn unread(control: &mut Control, queue: &mut Vec<ControlReport>, ticks: usize, r
     }
 }
 
+/// Verifies: alarm-repeats.
 #[test]
 fn a_host_that_reads_nothing_for_a_while_gets_every_alarm_as_soon_as_it_reads() {
     let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ).unwrap();

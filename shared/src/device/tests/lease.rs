@@ -58,6 +58,7 @@ fn reads() -> Vec<Request> {
     ]
 }
 
+/// Verifies: lease.
 #[test]
 fn another_host_reads_and_is_told_who_steers_and_changes_nothing() {
     let mut rig = steered();
@@ -131,6 +132,7 @@ fn two_hosts_with_the_same_sequence_number_get_their_own_answers() {
     assert!(matches!(rig.ask_as(9, None, Request::GetLease), Response::Lease(_)));
 }
 
+/// Verifies: chosen-settings.
 #[test]
 fn a_start_needs_settings_that_were_sent_in_this_standby() {
     let not_confirmed = Response::Refused(Refusal::NotConfirmed);

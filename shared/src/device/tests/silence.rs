@@ -1,4 +1,4 @@
-//! Which host keeps the exploration on, and whose silence is reported, when two hosts ask in any rhythm and order.
+//! Which host keeps the exploration on, and whose silence is reported, when two hosts ask in any rhythm and order. Verifies: host-silent.
 
 use super::*;
 use crate::safety::host::SILENCE_MAX;

@@ -1,4 +1,4 @@
-//! Storing weights on request: what is stored, and when not.
+//! Storing weights on request: what is stored, and when not. Verifies: store-refused.
 
 use super::*;
 use crate::calibration::tests::SOUND;

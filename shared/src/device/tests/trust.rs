@@ -1,4 +1,4 @@
-//! Whose weights a device stores.
+//! Whose weights a device stores. Verifies: weights-trust.
 
 use super::*;
 use crate::weights::PLANT_BYTES;

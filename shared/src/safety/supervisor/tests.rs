@@ -167,6 +167,7 @@ fn the_learned_part_cannot_move_faster_than_its_slew() {
     assert!(down.windows(2).all(|pair| (pair[1] - pair[0]).abs() <= 25.0 + 1e-3), "{down:?}");
 }
 
+/// Verifies: command-capped.
 #[test]
 fn the_cap_of_the_capped_pid_takes_effect_at_once() {
     let mut run = Run::new();
@@ -479,7 +480,7 @@ fn a_monitor_that_is_left_out_latches_nothing() {
 
 proptest! {
     /// For any output of the network and of its PID, the learned part changes by at most 25 % in a tick, and the command is
-    /// the PID's with that part and nothing else.
+    /// the PID's with that part and nothing else. Verifies: residual-slew.
     #[test]
     fn no_network_moves_the_command_faster_than_the_slew(
         outputs in prop::collection::vec((0.0f32..=100.0, prop::num::f32::ANY), 1..300),

@@ -87,6 +87,7 @@ fn the_fields_lie_where_the_table_says() {
     assert_eq!(bytes.len(), IMAGE_BYTES);
 }
 
+/// Verifies: weights-checks.
 #[test]
 fn every_flipped_bit_is_refused() {
     let mut bytes = packed(&residual(1));

@@ -1,3 +1,5 @@
+//! Verifies: weights-commit.
+
 use std::vec::Vec;
 
 use proptest::prelude::*;

@@ -1,3 +1,5 @@
+//! Verifies: weights-trust.
+
 use ed25519_compact::{KeyPair, Seed};
 use proptest::prelude::*;
 
