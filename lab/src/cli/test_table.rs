@@ -53,6 +53,8 @@ pub struct RowResult {
     machine: &'static str,
     /// Plateau error that is allowed, cmH2O.
     tolerance: f64,
+    /// Overshoot that is allowed, cmH2O.
+    overshoot_allowed: f64,
     expected_volume: f32,
     /// None if the ventilator entered its safe state.
     outcome: Option<Outcome>,
@@ -116,6 +118,7 @@ fn row_result(row: &IsoRow, newborn: bool, outcome: Option<Outcome>) -> RowResul
         peep: row.peep,
         machine: if newborn { "neonate" } else { "adult" },
         tolerance: plateau_tolerance(row.pip),
+        overshoot_allowed: MOST_OVERSHOOT,
         expected_volume: row.tidal_volume,
         outcome,
         pass: outcome.is_some_and(|outcome| outcome.steady()),

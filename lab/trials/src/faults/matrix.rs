@@ -40,6 +40,8 @@ pub struct FaultRow {
     pub monitor: Vec<&'static str>,
     /// Longest time over the seeds to the first of these alarms, ms; `None` if an alarm was missing under any seed.
     pub detect_ms: Option<u32>,
+    /// Longest time that it may take, ms.
+    pub detect_allowed_ms: u32,
     /// The last action taken.
     pub action: Option<Action>,
     /// Highest true airway pressure after the fault, cmH2O.
@@ -54,8 +56,12 @@ pub struct FaultRow {
     pub breaths_delivered: u32,
     /// Longest time after the fault from the end of a delivered inspiration to the next one, s.
     pub longest_gap_s: f64,
+    /// The same that is allowed, s; `None` if no ventilation is required.
+    pub gap_allowed_s: Option<f64>,
     /// Volume that the lung got after the fault, as a share of a run with a sound machine.
     pub minute_volume_share: f64,
+    /// The same that is required; `None` if no ventilation is.
+    pub share_required: Option<f64>,
     /// The last response, in words; `refused` if it is that to another host's requests.
     pub response: &'static str,
     /// All alarms in order, under the first seed that shows a failure, or else under the last seed.
@@ -234,6 +240,7 @@ fn row(
         }
         Required::Stays => outcomes.iter().all(|outcome| outcome.ventilation.breaths == 0),
     };
+    let goes_on = matches!(case.ventilation, Required::GoesOn | Required::Resumes);
     let peak_allowed = case.peak_allowed(limit);
     let quiet = !outcomes.iter().any(|outcome| outcome.alarms.iter().any(unwanted));
     let action = outcomes.last().and_then(TrialOutcome::action);
@@ -243,10 +250,13 @@ fn row(
         lung: lung.name.clone(),
         monitor: required(case, limit).map(|monitor| monitor.alarm().id).collect(),
         detect_ms,
+        detect_allowed_ms: case.within_ms,
         action,
         breaths_delivered: outcomes.iter().map(|outcome| outcome.ventilation.breaths).min().unwrap_or(0),
         longest_gap_s: f64::from(gap_ms) * 1e-3,
+        gap_allowed_s: goes_on.then(|| f64::from(case.longest_gap_ms(limit)) * 1e-3),
         minute_volume_share,
+        share_required: goes_on.then_some(case.least_share),
         response: action.map_or(if refused { "refused" } else { "none" }, Action::name),
         peak_true,
         peak_allowed,
