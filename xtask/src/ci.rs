@@ -4,7 +4,7 @@
 //! lockstep with its plant. After a failure no further step starts, and the program prints the command that repeats the step.
 
 use std::io::{self, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use clap::builder::PossibleValuesParser;
 use xshell::Shell;
+
+use crate::papers::results;
 
 /// One check.
 struct Step {
@@ -39,6 +41,8 @@ const HOST: &[Step] = &[
     step("cost", &["xtask cost"]).after("firmware"),
     // On the lane that ends first. It needs the firmware's images, and what the set-up before them installs.
     step("web", &["xtask web"]).after("firmware"),
+    // At the end, with the results of all other steps.
+    step("papers", &["xtask papers"]).after("qemu-test"),
 ];
 
 /// Checks of the chip's code, then steps that use the trainer, which the other lane builds, and the tests in QEMU.
@@ -118,7 +122,8 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let root = shell.current_dir();
     let only = &arguments.only;
     let chosen = |name: &str| only.is_empty() || only.iter().any(|only| only == name);
-    let progress = Progress::default();
+    let results = Some((results::folder(shell), results::revision(shell)));
+    let progress = Progress { results, ..Progress::default() };
     let begun = Instant::now();
     let alone = HOST.iter().all(|step| !chosen(step.name));
     let show_chip: fn(Command) -> io::Result<bool> = if alone { run_in_sight } else { run_aside };
@@ -156,6 +161,8 @@ fn run_aside(mut command: Command) -> io::Result<bool> {
 /// Progress of both lanes.
 #[derive(Default)]
 struct Progress {
+    /// Folder of the steps' results for the papers, and the revision; none in tests.
+    results: Option<(PathBuf, String)>,
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -203,6 +210,11 @@ impl Progress {
     /// Notes the end of a step; `children` is the processor time of all steps that have ended, s.
     fn finish(&self, step: &'static Step, wall: Duration, children: f64, passed: bool) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((folder, revision)) = &self.results
+            && let Err(error) = results::note_step(folder, step.name, revision, passed)
+        {
+            println!("{}: its result is not kept for the papers: {error:#}", step.name);
+        }
         if passed {
             let processor = children - state.passed.iter().map(|(_, cost)| cost.processor_s).sum::<f64>();
             state.passed.push((step.name, Cost { wall_s: wall.as_secs_f64(), processor_s: processor }));

@@ -3,21 +3,18 @@
 use anyhow::{Context, Result};
 use xshell::Shell;
 
+use crate::papers::results::{self, EXPERIMENTS};
 use crate::trainer::Trainer;
 
-/// Runs the fault matrix, once also at the highest pressure limit, ten thousand breaths without a fault, and short torture
-/// tests.
+/// Runs the fault matrix, once also at the highest pressure limit, the test table and short torture tests, which leave their results
+/// for the papers, and ten thousand breaths without a fault.
 pub fn faults(shell: &Shell) -> Result<()> {
     let trainer = Trainer::build(shell)?;
-    [
-        "faults",
-        "faults --limit 70 --seeds 1",
-        "faults --nominal 10080",
-        "torture --breaths 20000",
-        "torture --breaths 2000 --limit 70",
-    ]
-    .iter()
-    .try_for_each(|line| trainer.lab(line, &[]))
+    for experiment in EXPERIMENTS.iter().filter(|experiment| experiment.quick) {
+        let file = experiment.file(&results::folder(shell)).display().to_string();
+        trainer.lab(&format!("{} --json FILE", experiment.line), &[("FILE", &file)])?;
+    }
+    trainer.lab("faults --nominal 10080", &[])
 }
 
 /// Removes the monitors and responses one by one and requires that a row of the fault matrix fails each time, which proves

@@ -10,6 +10,7 @@ mod memory;
 mod mutants;
 mod npm;
 mod package;
+mod papers;
 mod python;
 mod qemu_test;
 mod setup;
@@ -66,6 +67,8 @@ enum Command {
     Wheel,
     /// Check the bedside page, that its bundle is what the sources give, and test it in Chromium
     Web(web::Arguments),
+    /// Write the trace matrix, the test report and the lists of third-party software to target/papers
+    Papers,
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -97,6 +100,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Package => package::run(&shell),
         Command::Wheel => package::wheel(&shell),
         Command::Web(arguments) => web::run(&shell, arguments),
+        Command::Papers => papers::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }

@@ -1,5 +1,6 @@
 //! `cargo xtask setup`: prepares the toolchain to build for the chip, and installs QEMU for the virtual board, the engines for the
-//! tests of sharded commands, the compilers for those of the C export, and for the bedside page node, Chromium and the target of its demonstration.
+//! tests of sharded commands, the compilers for those of the C export, cargo-deny for the papers, and for the bedside page node, Chromium
+//! and the target of its demonstration.
 //!
 //! Scripts in `.ci/setup` do this, since they change the machine and not the project.
 
@@ -11,7 +12,7 @@ use crate::{CHIP_TARGET, WEB_TARGET, mutants};
 /// Arguments of `cargo xtask setup`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Omit QEMU, the engines, the compilers, node, Chromium and the target of the demonstration, which building the firmware does not need
+    /// Omit QEMU, the engines, the compilers, cargo-deny, node, Chromium and the target of the demonstration, which building the firmware does not need
     #[arg(long)]
     target_only: bool,
     /// Install cargo-mutants too, for `cargo xtask mutants`
@@ -24,7 +25,7 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     cmd!(shell, "bash .ci/setup/target {CHIP_TARGET}").quiet().run()?;
     if !arguments.target_only {
         cmd!(shell, "bash .ci/setup/target {WEB_TARGET}").quiet().run()?;
-        for tool in ["qemu", "engines", "compilers", "node", "chromium"] {
+        for tool in ["qemu", "engines", "compilers", "deny", "node", "chromium"] {
             cmd!(shell, "bash .ci/setup/{tool}").quiet().run()?;
         }
     }
