@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use object::read::elf::{ElfFile32, FileHeader, SectionHeader};
 use object::{Object, ObjectSection, elf};
-use xshell::{Shell, cmd};
+use xshell::{PushEnv, Shell, cmd};
 
 use crate::memory::{self, Region};
 use crate::{CHIP_PROFILE, CHIP_TARGET, checksum};
@@ -20,15 +20,66 @@ struct Section {
     stored: bool,
 }
 
-/// Memory regions of the main board, and of its image for the desk.
-pub const MAIN_BOARD: &str = "firmware/memory/stm32f405.x";
-pub const DESK: &str = "firmware/memory/stm32f405-desk.x";
+/// An image that users flash.
+pub struct Board {
+    /// Name of board and image.
+    pub name: &'static str,
+    /// Name of the file that is built, without its ending.
+    file: &'static str,
+    features: &'static [&'static str],
+    /// Memory regions.
+    pub map: &'static str,
+    /// The chip, as probe-rs names it.
+    pub chip: &'static str,
+    /// What the image is.
+    pub about: &'static str,
+}
 
-/// Images of the other boards: name, features, memory regions.
-const OTHER_BOARDS: [[&str; 3]; 2] = [
-    ["stm32f446", "stm32f446", "firmware/memory/stm32f446.x"],
-    ["stm32f446-desk", "stm32f446,desk", "firmware/memory/stm32f446-desk.x"],
+/// The images of the main board, with sensors and valves and for the desk, then those of the other board.
+pub const BOARDS: [Board; 4] = [
+    Board {
+        name: "stm32f405",
+        file: "board",
+        features: &[],
+        map: "firmware/memory/stm32f405.x",
+        chip: "STM32F405RG",
+        about: "ventilator with sensors and valves",
+    },
+    Board {
+        name: "stm32f405-desk",
+        file: "desk",
+        features: &["--features", "desk"],
+        map: "firmware/memory/stm32f405-desk.x",
+        chip: "STM32F405RG",
+        about: "ventilator that simulates lung, sensors and valves",
+    },
+    Board {
+        name: "stm32f446",
+        file: "stm32f446",
+        features: &["--no-default-features", "--features", "stm32f446"],
+        map: "firmware/memory/stm32f446.x",
+        chip: "STM32F446RETx",
+        about: "ventilator with sensors and valves",
+    },
+    Board {
+        name: "stm32f446-desk",
+        file: "stm32f446-desk",
+        features: &["--no-default-features", "--features", "stm32f446,desk"],
+        map: "firmware/memory/stm32f446-desk.x",
+        chip: "STM32F446RETx",
+        about: "ventilator that simulates lung, sensors and valves, for a Nucleo board without anything else",
+    },
 ];
+/// Memory regions of the main board, and of its image for the desk.
+pub const MAIN_BOARD: &str = BOARDS[0].map;
+pub const DESK: &str = BOARDS[1].map;
+
+impl Board {
+    /// Builds the image; returns its path.
+    pub fn build(&self, shell: &Shell) -> Result<PathBuf> {
+        compile(shell, self.file, self.features)
+    }
+}
 
 /// Variable with the public key whose weights the firmware runs.
 const KEY: &str = "EUPNEA_WEIGHTS_KEY";
@@ -76,9 +127,9 @@ pub fn run(shell: &Shell) -> Result<()> {
         print!("{}", report(&sections(&read(image)?)?, &regions)?);
     }
     println!("{}: for QEMU", images.shim.display());
-    for [name, features, map] in OTHER_BOARDS {
-        let image = compile(shell, name, &["--no-default-features", "--features", features])?;
-        let Size { flash, ram } = size(&image, Path::new(map))?;
+    for board in &BOARDS[2..] {
+        let image = board.build(shell)?;
+        let Size { flash, ram } = size(&image, Path::new(board.map))?;
         println!("{}: flash {flash}, RAM {ram} bytes", image.display());
     }
     Ok(())
@@ -87,8 +138,8 @@ pub fn run(shell: &Shell) -> Result<()> {
 /// Builds the images of the main board, and the shim with which they run in QEMU.
 pub fn build(shell: &Shell) -> Result<Images> {
     let hil = compile(shell, "hil", &["--features", "hil"])?;
-    let board = compile(shell, "board", &[])?;
-    let desk = compile(shell, "desk", &["--features", "desk"])?;
+    let board = BOARDS[0].build(shell)?;
+    let desk = BOARDS[1].build(shell)?;
     build_for_chip(shell, &["-p", "shim", "--bin", "shim"])?;
     let shim = keep(shell, "shim", "shim", Ok)?;
     Ok(Images { board, hil, desk, shim })
@@ -96,8 +147,13 @@ pub fn build(shell: &Shell) -> Result<Images> {
 
 /// Builds the images like [`build`] without a key, whatever the environment says.
 pub fn build_unsigned(shell: &Shell) -> Result<Images> {
-    let _variables = [KEY, PLANT].map(|variable| shell.push_env(variable, ""));
+    let _variables = without_key(shell);
     build(shell)
+}
+
+/// Variables with which an image runs weights without a signature.
+pub fn without_key(shell: &Shell) -> [PushEnv<'_>; 2] {
+    [KEY, PLANT].map(|variable| shell.push_env(variable, ""))
 }
 
 /// Builds the image for hardware in the loop that trusts the key of the tests, for their plant.

@@ -13,6 +13,7 @@ mod package;
 mod papers;
 mod python;
 mod qemu_test;
+mod release;
 mod setup;
 mod trainer;
 mod web;
@@ -61,10 +62,10 @@ enum Command {
     Mutants(mutants::Arguments),
     /// Run the Python examples, with a plant written in Python
     Python,
-    /// Install the Python package, then lint and test it and run its notebook
+    /// Build the Python package's wheel and install it, then lint and test it and run its notebook
     Package,
-    /// Build a wheel of the Python package that runs on any Linux with glibc 2.28 or newer
-    Wheel,
+    /// Build what users install, from a tagged revision, into target/artifacts: wheels, archives, packages, firmware
+    Release(release::Arguments),
     /// Check the bedside page, that its bundle is what the sources give, and test it in Chromium
     Web(web::Arguments),
     /// Write the trace matrix, the test report and the lists of third-party software to target/papers
@@ -98,7 +99,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Mutants(arguments) => mutants::run(&shell, arguments),
         Command::Python => python::run(&shell),
         Command::Package => package::run(&shell),
-        Command::Wheel => package::wheel(&shell),
+        Command::Release(arguments) => release::run(&shell, arguments),
         Command::Web(arguments) => web::run(&shell, arguments),
         Command::Papers => papers::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),

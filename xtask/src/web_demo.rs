@@ -70,8 +70,8 @@ fn compile(shell: &Shell) -> Result<Vec<u8>> {
     Ok(shell.read_binary_file(module)?)
 }
 
-/// Flags with which the module names no folder of this machine: any other machine compiles the same bytes.
-fn remapped(shell: &Shell) -> Result<String> {
+/// Flags with which a program names no folder of this machine: any other machine compiles the same bytes.
+pub fn remapped(shell: &Shell) -> Result<String> {
     let home = shell.var("CARGO_HOME").or_else(|_| shell.var("HOME").map(|home| format!("{home}/.cargo")))?;
     let sources = shell.read_dir(format!("{home}/registry/src")).unwrap_or_default();
     let crates = sources.into_iter().map(|folder| (folder, "/crates"));

@@ -65,18 +65,22 @@ impl Provenance {
 
 /// Revision of the program: twelve digits of its source tree's commit, with `-dirty` if a tracked file has changed.
 ///
-/// Without the tree or without git it is the value of `EUPNEA_GIT_REVISION` at build time, else `unknown`. It is
-/// determined once per process, so that all files of one run agree.
+/// A release has the value of `EUPNEA_GIT_REVISION` at build time and does not look for its tree. `unknown` without the tree or
+/// without git. It is determined once per process, so that all files of one run agree.
 pub fn git_revision() -> String {
     static REVISION: OnceLock<String> = OnceLock::new();
     REVISION
-        .get_or_init(|| {
-            from_git()
-                .or_else(|| option_env!("EUPNEA_GIT_REVISION").map(str::to_owned))
-                .unwrap_or_else(|| "unknown".to_owned())
+        .get_or_init(|| match RELEASED {
+            Some(revision) => revision.to_owned(),
+            None => from_git(TREE).unwrap_or_else(|| "unknown".to_owned()),
         })
         .clone()
 }
+
+/// Revision of a release.
+const RELEASED: Option<&str> = option_env!("EUPNEA_GIT_REVISION");
+/// The source tree. A release names no folder of the machine that built it, so that another machine builds the same bytes.
+const TREE: &str = if RELEASED.is_some() { "" } else { env!("CARGO_MANIFEST_DIR") };
 
 /// Id of the running program itself: a checksum of its file. Unlike the revision it does not change when the source tree does, and
 /// differs between two builds of one dirty revision. `unknown` if the file cannot be read.
@@ -93,8 +97,7 @@ pub fn build_id() -> String {
 }
 
 /// Asks git about the source tree, not about the current folder, which may be another repository.
-fn from_git() -> Option<String> {
-    let tree = env!("CARGO_MANIFEST_DIR");
+fn from_git(tree: &str) -> Option<String> {
     let revision = git(tree, &["rev-parse", "--short=12", "HEAD"])?;
     let changes = git(tree, &["status", "--porcelain", "--untracked-files=no"])?;
     Some(if changes.is_empty() { revision } else { format!("{revision}-dirty") })
@@ -117,8 +120,7 @@ mod tests {
         let revision = git_revision();
         let commit = revision.strip_suffix("-dirty").unwrap_or(&revision);
         let is_commit = commit.len() == 12 && commit.bytes().all(|digit| digit.is_ascii_hexdigit());
-        let given = option_env!("EUPNEA_GIT_REVISION").unwrap_or("unknown");
-        assert!(is_commit || revision == given, "{revision}");
+        assert!(is_commit || revision == RELEASED.unwrap_or("unknown"), "{revision}");
     }
 
     #[test]

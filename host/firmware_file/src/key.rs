@@ -41,10 +41,16 @@ impl FromStr for ReleaseKey {
     }
 }
 
-/// Content of the entry with the signature.
-pub(crate) fn seal(manifest: &[u8], pair: &KeyPair) -> String {
-    let signature = pair.sk.sign(manifest, None);
+/// Public key and its signature over a text, a line each.
+pub fn seal(text: &[u8], pair: &KeyPair) -> String {
+    let signature = pair.sk.sign(text, None);
     format!("{}\n{}\n", ReleaseKey::of(pair), hex(&*signature))
+}
+
+/// The key that signed a text with [`seal`]; none if the signature is of another text.
+pub fn signer(text: &[u8], signature: &[u8]) -> Option<ReleaseKey> {
+    let (key, signature) = unseal(signature)?;
+    key.signed(text, &signature).then_some(key)
 }
 
 /// Key and signature of [`seal`].

@@ -15,7 +15,7 @@ mod marks;
 mod report;
 pub mod results;
 mod safety;
-mod sbom;
+pub mod sbom;
 mod software;
 mod standards;
 mod trace;
@@ -25,13 +25,12 @@ use xshell::{Shell, cmd};
 
 use deny::Advisories;
 use report::table;
-use results::{FAULTS, date, now, time};
+use results::{FAULTS, date, now};
 use safety::{DOCUMENT, Safety};
 use software::Program;
 
 /// Names of the papers' files.
-const PAPERS: [&str; 6] =
-    ["trace.md", "tests.md", "soup.md", "standards.md", "sbom-chip.cdx.json", "sbom-host.cdx.json"];
+const PAPERS: [&str; 4] = ["trace.md", "tests.md", "soup.md", "standards.md"];
 
 /// Writes the papers; fails if a requirement, a licence or an advisory is at fault.
 pub fn run(shell: &Shell) -> Result<()> {
@@ -39,7 +38,7 @@ pub fn run(shell: &Shell) -> Result<()> {
     let (revision, steps) = (results::revision(shell), results::steps(&results)?);
     let safety = Safety::read(&shell.read_file(DOCUMENT)?)?;
     let marks = marks::all(&shell.current_dir())?;
-    let (chip, host) = (software::chip(shell)?, software::host(shell)?);
+    let chip = software::chip(shell)?;
     let advisories = deny::advisories(shell)?;
     let trace = trace::matrix(&safety, &marks, FAULTS.last(&results)?.as_ref(), &steps);
     let compiler = cmd!(shell, "rustc --version").quiet().read()?;
@@ -55,9 +54,8 @@ pub fn run(shell: &Shell) -> Result<()> {
             format!("# {title}\n\nEupnea, revision {revision}, written {today} by `cargo xtask papers`.\n\n");
         shell.write_file(folder.join(file), head + text)?;
     }
-    for (program, file) in [chip, host].iter().zip(&PAPERS[papers.len()..]) {
-        let list = sbom::sbom(program, &revision, &time(now));
-        shell.write_file(folder.join(file), serde_json::to_string_pretty(&list)? + "\n")?;
+    for (file, list) in sbom::lists(shell, &revision, now)? {
+        shell.write_file(folder.join(file), list)?;
     }
     println!("papers of revision {revision} in {}", folder.display());
     deny::check(shell)?;

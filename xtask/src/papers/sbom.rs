@@ -1,11 +1,24 @@
 //! The list of a program's parts for machines: `CycloneDX` 1.6 in JSON, <https://cyclonedx.org/docs/1.6/json/>.
 
-use serde_json::{Value, json};
+use anyhow::Result;
+use serde_json::{Value, json, to_string_pretty};
+use xshell::Shell;
 
-use super::software::{Id, Part, Program};
+use super::results::time;
+use super::software::{self, Id, Part, Program};
+
+/// Files of the lists of chip and host.
+pub const FILES: [&str; 2] = ["sbom-chip.cdx.json", "sbom-host.cdx.json"];
+
+/// The lists of chip and host, with their files, for a revision and its time in seconds since 1970.
+pub fn lists(shell: &Shell, revision: &str, time_s: u64) -> Result<[(&'static str, String); 2]> {
+    let list = |program: &Program| to_string_pretty(&sbom(program, revision, &time(time_s)));
+    let [chip, host] = FILES;
+    Ok([(chip, list(&software::chip(shell)?)? + "\n"), (host, list(&software::host(shell)?)? + "\n")])
+}
 
 /// The list, at a time as in 2026-11-29T00:00:00Z.
-pub fn sbom(program: &Program, revision: &str, time: &str) -> Value {
+fn sbom(program: &Program, revision: &str, time: &str) -> Value {
     let own = program.own();
     let component = own.map(|(id, part)| component(program.kind, id, part)).unwrap_or_default();
     let others = program.parts.iter().filter(|(id, _)| own.is_none_or(|(own, _)| own != *id));

@@ -1,0 +1,234 @@
+//! `cargo xtask release --check`: starts what was built as a user would, on emulated machines where it is for another one, and
+//! compares the results of all machines.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use xshell::{Shell, cmd};
+
+use super::programs::{self, Processor, Target};
+use super::wheels::try_programs;
+use super::{Part, SIGNATURE, SUMS, VERSION};
+use crate::firmware::{BOARDS, cargo_folder};
+use crate::package::install;
+
+/// The C library of arm64, for programs that are linked to it.
+const ARM_LIBRARIES: &str = "/usr/aarch64-linux-gnu";
+/// A whole job, a minute under emulation: recording, simulator, controller, weights image, breaths.
+const JOB: [&str; 5] = [
+    "collect --breaths 6 --seed 3 --out recording.parquet",
+    "fit recording.parquet --out simulator.safetensors --epochs 2",
+    "train --out run --simulator simulator.safetensors --gains 6.5,265,0.13 --iterations 20",
+    "export run/controller.safetensors --out weights.bin",
+    "evaluate --controller run/controller.safetensors --bench R20C20 --pips 20 --breaths 1 --json breaths.json",
+];
+/// Files of the job that hold results alone, and no origin.
+const RESULTS: [&str; 4] =
+    ["simulator.safetensors", "run/controller.safetensors", "weights.bin", "breaths.json"];
+
+/// Programs that are unpacked, and how this machine starts them.
+struct Machine {
+    name: &'static str,
+    folder: PathBuf,
+    /// Ending of the programs' names.
+    suffix: &'static str,
+    runner: &'static [&'static str],
+}
+
+/// Checks the chosen parts.
+pub fn run(shell: &Shell, folder: &Path, chosen: &dyn Fn(Part) -> bool) -> Result<()> {
+    cmd!(shell, "bash .ci/setup/release").quiet().run()?;
+    let place = cargo_folder(shell).join("staging/check");
+    shell.remove_path(&place)?;
+    shell.create_dir(&place)?;
+    checksums(shell, folder)?;
+    let mut machines = Vec::new();
+    if chosen(Part::Wheels) {
+        machines.extend(wheels(shell, folder, &place)?);
+    }
+    if chosen(Part::Archives) {
+        machines.extend(archives(shell, folder, &place)?);
+    }
+    if chosen(Part::Packages) {
+        packages(shell, folder, &place)?;
+    }
+    if chosen(Part::Windows) {
+        machines.push(windows(shell, folder, &place)?);
+    }
+    if chosen(Part::Firmware) {
+        boards(shell, folder)?;
+    }
+    same_results(shell, &place, &machines)?;
+    if chosen(Part::Wheels) {
+        golden(shell)?;
+    }
+    println!("release: checked");
+    Ok(())
+}
+
+/// Every file has its checksum, and the list of checksums its signature.
+fn checksums(shell: &Shell, folder: &Path) -> Result<()> {
+    let _folder = shell.push_dir(folder);
+    let sums = shell.read_file(SUMS).context("no release to check: build one with `cargo xtask release`")?;
+    cmd!(shell, "sha256sum --check --quiet --strict {SUMS}").quiet().run()?;
+    let signature = shell.read_file(SIGNATURE)?;
+    let signer = firmware_file::signer(sums.as_bytes(), signature.as_bytes());
+    let signer = signer.with_context(|| format!("{SIGNATURE} is no signature of {SUMS}"))?;
+    println!("checksums: signed by {signer}");
+    Ok(())
+}
+
+/// Installs the wheel of this processor in an environment of its own and tries all that it promises; unpacks the other one.
+fn wheels(shell: &Shell, folder: &Path, place: &Path) -> Result<[Machine; 2]> {
+    let wheel = |processor: Processor| {
+        folder.join(format!("eupnea-{VERSION}-cp310-abi3-manylinux_2_28_{}.whl", processor.name()))
+    };
+    let environment = place.join("environment");
+    cmd!(shell, "python3 -m venv {environment}").quiet().run()?;
+    let python = environment.join("bin/python");
+    install(shell, &python, &wheel(Processor::X86), "")?;
+    try_programs(shell, &python, &["demo", "--out", "demo"])?;
+    let foreign = place.join("wheel-arm64");
+    let packed = wheel(Processor::Arm);
+    cmd!(shell, "{python} -m zipfile -e {packed} {foreign}").quiet().run()?;
+    let programs = foreign.join(format!("eupnea-{VERSION}.data/scripts"));
+    cmd!(shell, "chmod +x {programs}/trainer {programs}/lab").quiet().run()?;
+    Ok([
+        Machine { name: "x86-64, glibc", folder: environment.join("bin"), suffix: "", runner: &[] },
+        Machine {
+            name: "arm64, glibc",
+            folder: programs,
+            suffix: "",
+            runner: &["qemu-aarch64", "-L", ARM_LIBRARIES],
+        },
+    ])
+}
+
+/// Unpacks the archives for Linux; their programs need no library.
+fn archives(shell: &Shell, folder: &Path, place: &Path) -> Result<Vec<Machine>> {
+    let mut machines = Vec::new();
+    for (processor, name, runner) in [
+        (Processor::X86, "x86-64, static", [].as_slice()),
+        (Processor::Arm, "arm64, static", &["qemu-aarch64"]),
+    ] {
+        let archive = format!("eupnea-{VERSION}-{}-linux", processor.name());
+        let packed = folder.join(format!("{archive}.tar.gz"));
+        cmd!(shell, "tar -C {place} -xzf {packed}").quiet().run()?;
+        machines.push(Machine { name, folder: place.join(archive), suffix: "", runner });
+    }
+    Ok(machines)
+}
+
+/// Lints the packages, and starts the programs of the one for this processor from where it puts them.
+fn packages(shell: &Shell, folder: &Path, place: &Path) -> Result<()> {
+    for processor in Processor::ALL {
+        let package = folder.join(format!("eupnea_{VERSION}_{}.deb", processor.debian()));
+        cmd!(shell, "lintian --fail-on error,warning --allow-root {package}").quiet().run()?;
+        let root = place.join(processor.debian());
+        cmd!(shell, "dpkg-deb --extract {package} {root}").quiet().run()?;
+    }
+    let programs = place.join(Processor::X86.debian()).join("usr/bin");
+    for program in ["trainer", "lab"] {
+        says_version(&cmd!(shell, "{programs}/{program} --version").quiet().read()?, program)?;
+    }
+    Ok(())
+}
+
+/// Unpacks the archive for Windows, and asks for a port that does not exist.
+fn windows(shell: &Shell, folder: &Path, place: &Path) -> Result<Machine> {
+    let packed = folder.join(format!("eupnea-{VERSION}-x86_64-windows.zip"));
+    let programs = place.join("windows");
+    cmd!(shell, "python3 -m zipfile -e {packed} {programs}").quiet().run()?;
+    let machine = Machine { name: "Windows", folder: programs, suffix: ".exe", runner: &["wine"] };
+    let output = machine.start(shell, "trainer", "identify --port COM99")?.ignore_status().output()?;
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    ensure!(
+        !output.status.success() && message.contains("COM99"),
+        "a port that does not exist is not named: {message}"
+    );
+    Ok(machine)
+}
+
+/// Every board's file is whole and signed with the key of the checksums.
+fn boards(shell: &Shell, folder: &Path) -> Result<()> {
+    let (sums, signature) = (shell.read_file(folder.join(SUMS))?, shell.read_file(folder.join(SIGNATURE))?);
+    let key =
+        firmware_file::signer(sums.as_bytes(), signature.as_bytes()).context("the checksums are unsigned")?;
+    for board in &BOARDS {
+        let path = folder.join(format!("eupnea-{VERSION}-{}.zip", board.name));
+        let package = firmware_file::read(&shell.read_binary_file(&path)?, &key)
+            .with_context(|| path.display().to_string())?;
+        ensure!(package.manifest.firmware.board == board.name, "{} is of another board", path.display());
+    }
+    Ok(())
+}
+
+impl Machine {
+    /// A command line of a program, split at spaces.
+    fn start<'a>(&self, shell: &'a Shell, program: &str, line: &str) -> Result<xshell::Cmd<'a>> {
+        let program = self.folder.join(format!("{program}{}", self.suffix));
+        ensure!(program.exists(), "{} is missing", program.display());
+        let mut words = self.runner.iter().map(PathBuf::from).chain([program]);
+        let first = words.next().context("a program to start")?;
+        // Wine tells of its own troubles otherwise.
+        Ok(shell.cmd(first).args(words).args(line.split(' ')).env("WINEDEBUG", "-all").quiet())
+    }
+}
+
+/// Runs the same job on all machines and compares the bytes of its results.
+fn same_results(shell: &Shell, place: &Path, machines: &[Machine]) -> Result<()> {
+    let mut all: Vec<(&str, BTreeMap<&str, Vec<u8>>)> = Vec::new();
+    for machine in machines {
+        println!("job: {}", machine.name);
+        for program in ["trainer", "lab"] {
+            says_version(&machine.start(shell, program, "--version")?.read()?, program)?;
+        }
+        let folder = place.join("job").join(machine.name.replace(", ", "-"));
+        let _folder = shell.push_dir(shell.create_dir(folder)?);
+        for line in JOB {
+            machine.start(shell, "trainer", line)?.ignore_stdout().run()?;
+        }
+        machine.start(shell, "trainer", "judge recording.parquet")?.ignore_stdout().run()?;
+        let results: Result<_, xshell::Error> =
+            RESULTS.iter().map(|file| Ok((*file, shell.read_binary_file(file)?))).collect();
+        all.push((machine.name, results?));
+    }
+    let Some((first, others)) = all.split_first() else { return Ok(()) };
+    for file in RESULTS {
+        let different: Vec<_> = others.iter().filter(|other| other.1[file] != first.1[file]).collect();
+        if !different.is_empty() {
+            let names: Vec<_> = different.iter().map(|other| other.0).collect();
+            bail!("{file} differs from that of {} on: {}", first.0, names.join("; "));
+        }
+        println!("{file}: the same bytes on {} machines", all.len());
+    }
+    Ok(())
+}
+
+/// Runs the golden traces of the core on the other machines.
+fn golden(shell: &Shell) -> Result<()> {
+    let _tools = programs::tools(shell)?;
+    for (target, variable, runner) in [
+        (
+            Target::Glibc(Processor::Arm),
+            "CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER",
+            "qemu-aarch64 -L /usr/aarch64-linux-gnu",
+        ),
+        (Target::Windows, "CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER", "wine"),
+    ] {
+        let triple = target.triple();
+        println!("golden traces: {triple}");
+        cmd!(shell, "cargo-zigbuild test --quiet --target {triple} -p tests --no-default-features --test golden -- golden")
+            .env(variable, runner)
+            .env("WINEDEBUG", "-all")
+            .quiet()
+            .run()?;
+    }
+    Ok(())
+}
+
+fn says_version(text: &str, program: &str) -> Result<()> {
+    ensure!(text.trim() == format!("{program} {VERSION}"), "`{program} --version` says: {text}");
+    Ok(())
+}
