@@ -12,6 +12,14 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
+try:
+    from eupnea import _native as _native
+except ImportError as error:
+    raise ImportError(
+        f"{error}: a wheel needs the processor in its name, and glibc 2.28 or newer. On other machines use the static "
+        "programs of the release, or build the package there, with Rust: pip install ./python"
+    ) from error
+
 from eupnea import policies
 from eupnea._native import Bench, Controller, Family, Simulator, Ventilator
 from eupnea.commands import (

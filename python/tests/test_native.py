@@ -1,12 +1,24 @@
 """The bench, the ventilator, controllers and simulators from Python."""
 
 import json
+import shutil
 import struct
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import eupnea
+
+
+def test_a_wheel_of_another_machine_says_what_to_do(tmp_path):
+    shutil.copytree(Path(eupnea.__file__).parent, tmp_path / "eupnea", ignore=shutil.ignore_patterns("_native*", "__pycache__"))
+    (tmp_path / "eupnea" / "_native.abi3.so").write_bytes(b"code of another machine")
+    result = subprocess.run([sys.executable, "-c", "import eupnea"], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode != 0
+    assert all(word in result.stderr for word in ("ImportError", "glibc 2.28", "static", "pip install ./python")), result.stderr
 
 
 def test_a_bench_with_the_same_seed_gives_the_same_readings():

@@ -42,7 +42,10 @@ pub fn for_tests(shell: &Shell, python: &Path) -> Result<PathBuf> {
     let mut programs = Vec::new();
     for file in Target::Glibc(Processor::X86).files() {
         let program = folder.join(file);
-        shell.copy_file(trainer.program().with_file_name(file), &program)?;
+        // Cargo puts what a test depends on into a folder of its own.
+        let places = [file.to_string(), format!("deps/{file}")].map(|place| trainer.program().with_file_name(place));
+        let built = places.iter().find(|place| place.exists()).with_context(|| format!("{file} is not built"))?;
+        shell.copy_file(built, &program)?;
         cmd!(shell, "strip {program}").quiet().run()?;
         programs.push(program);
     }
