@@ -9,6 +9,11 @@ from numpy.typing import NDArray
 
 _PathLike = str | os.PathLike[str]
 
+#: P, I and D of the PID to which the chip falls back.
+KNOWN_GOOD: tuple[float, float, float]
+#: Names of the shipped prescriptions, of which the first are the usual ones.
+PRESCRIPTIONS: list[str]
+
 class Truth(TypedDict):
     """True state of a bench: pressures in cmH2O, flows in L/s."""
 
@@ -104,6 +109,10 @@ class Family:
     @property
     def pid(self) -> tuple[float, float, float] | None:
         """Gains of the best single PID of the family, if known."""
+
+    @property
+    def bedside_pid(self) -> tuple[float, float, float] | None:
+        """The same under the prescriptions of the bedside."""
 
     def draw(self, seed: int, number: int) -> Bench:
         """Draw the plant with this number, from 0, of those that a seed gives."""
@@ -372,6 +381,7 @@ class Task:
         *,
         benches: Sequence[Bench] | None = None,
         family: Family | None = None,
+        prescriptions: str | None = None,
         pips: Sequence[float] | None = None,
         settings: dict[str, float] | None = None,
         breathing: bool = False,
@@ -389,7 +399,7 @@ class Task:
 
     @property
     def steps(self) -> int:
-        """Steps of an episode that is not aborted."""
+        """Steps of the longest episode."""
 
 @final
 class Environment:
@@ -409,7 +419,13 @@ class Environment:
         """Run one action; returns the observation, the reward, and whether the episode ended."""
 
     def episode(self) -> dict[str, Any]:
-        """Return number, plant, PIP and scores of the running or the last episode."""
+        """Return number, plant, PIP, steps and scores of the running or the last episode."""
+
+    def settings(self) -> dict[str, float]:
+        """Return the settings of its breaths by name."""
+
+    def exploration(self, seed: int) -> NDArray[np.float32]:
+        """Return the perturbation that a seed draws for the episode, percent, shape (ticks,)."""
 
     def inspiration(self) -> list[NDArray[np.float64]]:
         """Return true pressure and target (cmH2O) and command (percent) of the last inspiration, each of shape (ticks,)."""

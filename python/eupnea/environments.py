@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from eupnea import _native
 from eupnea._native import Bench, Family
-from eupnea.policies import reset
+from eupnea.policies import begin
 from eupnea.render import picture
 
 Observation = NDArray[np.float32]
@@ -42,11 +42,13 @@ REGISTERED: dict[str, dict[str, Any]] = {
     "eupnea/BreathingPatient-v0": {"lungs": "paper", "breathing": True, "breaths": 4},
 }
 
-#: Episodes of the reference scores: each lung at each waveform once, and with each patient where patients breathe.
-EPISODES = 54
-EPISODES_BREATHING = 486
+#: Episodes of the reference scores: each lung at each waveform once; and many, with each patient where patients breathe, or where every
+#: episode has its own prescription.
+EPISODES, MANY_EPISODES = 54, 486
 #: Seed of the reference scores.
 SEED = 1000
+#: Control ticks for which the registered environments hold an action.
+HOLD = 10
 #: Correction at an action of 1 without another one, percent of the valve.
 AUTHORITY = 100.0
 
@@ -85,11 +87,12 @@ def _task(
     *,
     lungs: str | Bench | Sequence[str | Bench] | None = None,
     family: str | Family | None = None,
+    prescriptions: str | None = None,
     pips: Sequence[float] | None = None,
     settings: Mapping[str, float] | None = None,
     breathing: bool = False,
     period_us: int = 1000,
-    hold: int = 10,
+    hold: int = HOLD,
     breaths: int = 1,
     observation: str = "ours",
     action: str = "valve",
@@ -108,6 +111,7 @@ def _task(
     return _native.Task(
         benches=_benches(lungs),
         family=Family(family) if isinstance(family, str) else family,
+        prescriptions=prescriptions,
         pips=None if pips is None else list(pips),
         settings=None if settings is None else dict(settings),
         breathing=breathing,
@@ -152,6 +156,8 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
     Args:
         lungs: Names such as `"R20C20"`, `"paper"` or `"iso-07"`, or `Bench` objects, which take turns.
         family: A family of plants in place of lungs: `"adult"`, `"neonate"`, `"blower"` or a file. Every episode has its own plant.
+        prescriptions: `"paper"`, the waveforms of the paper or of the family (default); `"bedside"`, drawn for every episode; or a TOML
+            file. In place of `pips` and `settings`.
         pips: PIPs of the waveforms, cmH2O, which take turns; default: those of the paper or of the family.
         settings: Further settings of the breaths by name, such as `{"peep": 8, "rate": 15}`.
         breathing: Whether the patients breathe, with efforts of 3, 6 and 10 cmH2O.
@@ -191,8 +197,24 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def steps(self) -> int:
-        """Steps of an episode that is not aborted."""
-        return self._task.steps
+        """Steps of the running or the last episode if it is not aborted; before the first one, of the longest."""
+        return self._open().episode()["steps"] or self._task.steps
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """Settings of the breaths of the running or the last episode, by name."""
+        return self._open().settings()
+
+    def exploration(self, seed: int) -> NDArray[np.float32]:
+        """Draw a random perturbation for the running or the last episode, as `eupnea.collect` draws one for a breath.
+
+        Args:
+            seed: Seed of the perturbations; the number of the episode chooses one.
+
+        Returns:
+            What to add to the command in every tick of the inspiration, percent of the valve.
+        """
+        return self._open().exploration(seed)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Start the next episode.
@@ -331,7 +353,7 @@ class VectorPressureControl(gymnasium.vector.VectorEnv[Observation, NDArray[np.f
 
     @property
     def steps(self) -> int:
-        """Steps of an episode that is not aborted."""
+        """Steps of the longest episode."""
         return self._task.steps
 
     def reset(
@@ -422,6 +444,12 @@ def vector(id: str, num_envs: int, seed: int = 0, threads: int = 1, **options: A
     return VectorPressureControl(num_envs, seed=seed, threads=threads, **{**REGISTERED[id], **options})
 
 
+def protocol_episodes(*, prescriptions: str | None = None, breathing: bool = False, **_: Any) -> int:
+    """Return the number of episodes of a reference score: 54, or 486 where patients breathe or prescriptions are drawn."""
+    listed = prescriptions in (None, _native.PRESCRIPTIONS[0])
+    return EPISODES if listed and not breathing else MANY_EPISODES
+
+
 def score(
     policy: Policy,
     id: str = "eupnea/OneLung-v0",
@@ -433,31 +461,30 @@ def score(
     """Score a policy: the protocol of the reference scores.
 
     Args:
-        policy: Computes the action, one number from -1 to 1, for an observation. If it has a method `reset`, that is called before
-            every episode.
+        policy: Computes the action, one number from -1 to 1, for an observation. If it has the methods `reset()` and
+            `start(rise_time)`, with the time of the target's rise in seconds, they are called before every episode.
         id: Name of the environment.
-        episodes: Number of episodes, from the first one of the seed; default: that of the reference scores, 54, or 486 where
-            patients breathe.
+        episodes: Number of episodes, from the first one of the seed; default: that of the reference scores, `protocol_episodes`.
         seed: Seed of the episodes; the reference scores are those of the default.
         options: Options of the environment in place of the registered ones.
 
     Returns:
         Means over the complete episodes: `overshoot`, `rise_ms`, `plateau_error`, `late_error` and `effort` (NaN if there is none);
-        the mean over all episodes: `score`, for which an aborted episode counts with minus its mean reward; and the share of
-        episodes that the ventilator aborted, `aborted`.
+        the means over all episodes: `score`, for which an aborted episode counts with minus its mean reward, and `return`, the sum of
+        an episode's rewards; and the share of episodes that the ventilator aborted, `aborted`.
     """
     if id not in REGISTERED:
         raise ValueError(f"there is no environment {id!r}: choose from {', '.join(REGISTERED)}")
     chosen = {**REGISTERED[id], **options}
     if episodes is None:
-        episodes = EPISODES_BREATHING if chosen.get("breathing") else EPISODES
+        episodes = protocol_episodes(**chosen)
     if episodes < 1:
         raise ValueError(f"{episodes} episodes: give at least one")
     environment = PressureControl(**chosen)
     ends: list[dict[str, Any]] = []
     for number in range(episodes):
-        reset(policy)
         observation, _ = environment.reset(seed=seed, options={"number": number})
+        begin(policy, environment.settings["rise_time"])
         rewards: list[float] = []
         ended = False
         info: dict[str, Any] = {}
@@ -465,10 +492,12 @@ def score(
             observation, reward, ended, _, info = environment.step(policy(observation))
             rewards.append(reward)
         if info["fault"] is not None:
-            info["score"] = -sum(rewards) / environment.steps
+            info["score"] = -sum(rewards) / info["steps"]
+        info["return"] = sum(rewards)
         ends.append(info)
     names = ("score", "overshoot", "rise_ms", "plateau_error", "late_error", "effort")
     complete = [end for end in ends if end["fault"] is None]
     means = {name: float(np.mean([end[name] for end in complete])) if complete else float("nan") for name in names}
-    means["score"] = float(np.mean([end["score"] for end in ends]))
+    for name in ("score", "return"):
+        means[name] = float(np.mean([end[name] for end in ends]))
     return {**means, "aborted": float(np.mean([end["fault"] is not None for end in ends]))}

@@ -171,9 +171,10 @@ def _ticks(hold: Any) -> int:
     raise ValueError(f"hold is {hold!r}: give a whole number of control ticks, at least 1, as in the environment")
 
 
-def reset(policy: object) -> None:
-    """Tell a policy that another ventilation begins, if it has a method `reset`."""
+def begin(policy: object, rise_time: float) -> None:
+    """Tell a policy that another ventilation begins, whose targets rise within `rise_time` seconds, if it has the methods for it."""
     _tell(policy, "reset")
+    _tell(policy, "start", rise_time)
 
 
 def _tell(policy: object, name: str, *arguments: Any) -> None:
@@ -349,7 +350,7 @@ def _answer(line: socket.socket, frames: Any, policy: Policy, period_us: int, fa
             period_s = words[0] * 1e-6
         try:
             if kind == RESET:
-                reset(policy)
+                _tell(policy, "reset")
             elif kind == START:
                 _tell(policy, "start", words[4] * period_s)
             elif kind == LEARN:

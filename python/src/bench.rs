@@ -168,6 +168,12 @@ impl Family {
         self.family.pid.map(|gains| (gains.p, gains.i, gains.d))
     }
 
+    /// The same under the prescriptions of the bedside.
+    #[getter]
+    fn bedside_pid(&self) -> Option<(f32, f32, f32)> {
+        self.family.bedside_pid.map(|gains| (gains.p, gains.i, gains.d))
+    }
+
     /// The plant with this number, of those that a seed gives.
     fn draw(
         &self,

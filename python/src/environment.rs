@@ -7,10 +7,14 @@ use environment::{
     TaskConfig,
 };
 use numpy::{PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
+use plant::prescriptions::Prescriptions;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use shared::breath::Breath;
 use shared::control::Observation;
 use shared::device::KNOWN_GOOD;
+use shared::explore::Exploration;
+use shared::settings::FIELDS;
 use ventilator::{SourceError, seeds};
 
 use crate::bench::{Bench, Family};
@@ -39,6 +43,24 @@ pub fn noise_seeds(command: &str, #[pyo3(from_py_with = values::whole)] seed: u6
     }
 }
 
+/// The prescriptions of this name or, without one, the usual ones of the plants with these changes.
+fn prescribed(
+    plants: &Plants,
+    name: Option<&str>,
+    pips: Option<Vec<f32>>,
+    settings: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Prescriptions> {
+    let Some(name) = name else {
+        let usual = plants.usual();
+        let settings = values::changed(usual.settings, settings)?;
+        return Ok(Prescriptions { pips: pips.unwrap_or(usual.pips), settings, ..Prescriptions::default() });
+    };
+    if pips.is_some() || settings.is_some() {
+        return Err(errors::value("prescriptions take the place of pips and settings: leave these out"));
+    }
+    plants.prescriptions(name).map_err(|e| errors::of(&e))
+}
+
 /// A validated task.
 #[pyclass(module = "eupnea._native", name = "Task", frozen)]
 pub struct Task {
@@ -48,12 +70,13 @@ pub struct Task {
 #[pymethods]
 impl Task {
     #[new]
-    #[pyo3(signature = (*, benches=None, family=None, pips=None, settings=None, breathing=false, period_us=values::PERIOD_US,
-        hold=10, breaths=1, observation="ours", residual=None, reward=(1.0, 0.0, 0.0), monitors=true))]
+    #[pyo3(signature = (*, benches=None, family=None, prescriptions=None, pips=None, settings=None, breathing=false,
+        period_us=values::PERIOD_US, hold=10, breaths=1, observation="ours", residual=None, reward=(1.0, 0.0, 0.0), monitors=true))]
     #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         benches: Option<Vec<PyRef<'_, Bench>>>,
         family: Option<PyRef<'_, Family>>,
+        prescriptions: Option<&str>,
         pips: Option<Vec<f32>>,
         settings: Option<&Bound<'_, PyDict>>,
         breathing: bool,
@@ -65,9 +88,6 @@ impl Task {
         reward: (f64, f64, f64),
         monitors: bool,
     ) -> PyResult<Self> {
-        let own = family.as_ref().map(|family| family.family.settings);
-        let settings =
-            settings.map(|given| values::changed(own.unwrap_or_default(), Some(given))).transpose()?;
         let plants = match (benches, family) {
             (Some(_), Some(_)) => return Err(errors::value("lungs and a family: choose one of them")),
             (_, Some(family)) => Plants::Family(Box::new(family.family.clone())),
@@ -76,6 +96,7 @@ impl Task {
             }
             (None, None) => TaskConfig::default().plants,
         };
+        let prescriptions = prescribed(&plants, prescriptions, pips, settings)?;
         let action = match residual {
             Some((gains, authority)) => {
                 let gains = gains.map_or(Ok(KNOWN_GOOD), |gains| values::gains(&gains))?;
@@ -87,8 +108,7 @@ impl Task {
         let reward = Reward { error: reward.0, effort: reward.1, overshoot: reward.2 };
         let config = TaskConfig {
             plants,
-            pips,
-            settings,
+            prescriptions: Some(prescriptions),
             breathing,
             period_us,
             hold,
@@ -108,7 +128,7 @@ impl Task {
         self.task.observations()
     }
 
-    /// Steps of an episode that is not aborted.
+    /// Steps of the longest episode.
     #[getter]
     fn steps(&self) -> u32 {
         self.task.steps()
@@ -167,7 +187,8 @@ fn scores<'py>(py: Python<'py>, episode: &environment::Episode) -> PyResult<Boun
     let dict = PyDict::new(py);
     dict.set_item("number", episode.number)?;
     dict.set_item("plant", &episode.plant)?;
-    dict.set_item("pip", episode.pip)?;
+    dict.set_item("pip", episode.settings.pip)?;
+    dict.set_item("steps", episode.steps)?;
     dict.set_item("breath_scores", episode.scores.iter().map(|score| score.score).collect::<Vec<_>>())?;
     for (name, value) in [
         ("score", mean.score),
@@ -232,6 +253,30 @@ impl Environment {
     /// The episode that runs or has just ended.
     fn episode<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         scores(py, self.environment.episode())
+    }
+
+    /// Settings of the breaths of the running or the last episode, by name.
+    fn settings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let dict = PyDict::new(py);
+        for field in FIELDS {
+            dict.set_item(field.name, field.value(&self.environment.episode().settings))?;
+        }
+        Ok(dict)
+    }
+
+    /// A perturbation as `collect` draws them, of this seed and the number of the episode: percent to add to the command of each tick.
+    fn exploration<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = values::whole)] seed: u64,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let period_us = self.environment.task().config().period_us;
+        let episode = self.environment.episode();
+        let breath = Breath::new(&episode.settings, period_us).map_err(errors::value)?;
+        let exploration = Exploration { seed: seeds::collection(seed, 0), ..Exploration::default() };
+        let perturbation = exploration.perturbation(&breath, episode.number);
+        let ticks = 0..breath.inspiration_ticks();
+        Ok(PyArray1::from_iter(py, ticks.map(|tick| perturbation.at(tick, period_us))))
     }
 
     /// True pressure and target, cmH2O, and command, percent, of the running inspiration, or of the last one.

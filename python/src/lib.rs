@@ -28,6 +28,13 @@ mod _native {
     #[pymodule_export]
     use crate::environment::{Batch, Environment, Observer, Task, noise_seeds};
     #[pymodule_export]
+    const KNOWN_GOOD: (f32, f32, f32) = {
+        let gains = shared::device::KNOWN_GOOD;
+        (gains.p, gains.i, gains.d)
+    };
+    #[pymodule_export]
+    const PRESCRIPTIONS: [&str; 2] = plant::prescriptions::NAMES;
+    #[pymodule_export]
     use crate::simulator::Simulator;
     #[pymodule_export]
     use crate::ventilator::Ventilator;

@@ -64,6 +64,34 @@ def test_a_plant_of_a_family_is_that_of_robust():
     assert [info["score"]] == result["mean"]
 
 
+def test_a_drawn_prescription_of_a_family_is_that_of_robust():
+    options = {"family": "neonate", "prescriptions": "bedside"}
+    result = eupnea.robust(gains=(3, 30), plants=3, subset=0, breaths=1, seed=5, **options)
+    environment = eupnea.PressureControl(action="residual", gains=(3, 30), hold=1, **options)
+    infos, settings = [], []
+    for number in range(3):
+        infos.append(roll_out(environment, 0.0, seed=5, options={"number": number})[2])
+        settings.append(environment.settings)
+    assert [np.mean([info["score"] for info in infos])] == pytest.approx(result["mean"], rel=1e-12)
+    assert len({tuple(each.values()) for each in settings}) == 3
+    for info, each in zip(infos, settings, strict=True):
+        assert info["pip"] == each["pip"] and info["steps"] == pytest.approx(1000 * each["inspiratory_time"], abs=1)
+
+
+def test_an_exploration_is_a_step_that_fades_or_a_triangle_of_its_number_and_seed():
+    environment = eupnea.PressureControl(prescriptions="bedside")
+    curves = []
+    for number in range(60):
+        environment.reset(seed=1, options={"number": number})
+        curves.append(environment.exploration(4))
+        assert len(curves[-1]) == pytest.approx(1000 * environment.settings["inspiratory_time"], abs=1)
+        np.testing.assert_array_equal(curves[-1], environment.exploration(4))
+    assert not np.array_equal(curves[-1], environment.exploration(5))
+    steps = [curve for curve in curves if abs(curve[0]) > 1]
+    assert 2 < len(steps) < 20 and all(np.argmax(curve) == 0 for curve in steps)
+    assert max(abs(curve).max() for curve in curves) <= 100
+
+
 def test_a_pid_gives_the_readings_of_collect_bit_for_bit(tmp_path):
     path = tmp_path / "recording.parquet"
     recording = eupnea.collect(out=path, breaths=1, seed=7, exploration="none", gains=(3, 30))
@@ -143,6 +171,8 @@ def test_wrong_options_and_actions_are_refused_with_what_is_right(environment):
         ({"lungs": "R0"}, "R0"),
         ({"lungs": []}, "no plant"),
         ({"pips": []}, "no PIP"),
+        ({"prescriptions": "aliens"}, "no prescriptions aliens"),
+        ({"prescriptions": "bedside", "pips": [20]}, "leave these out"),
         ({"observation": "nothing"}, "choose ours"),
         ({"action": "wish"}, "choose valve"),
         ({"hold": 0}, "hold is 0"),
@@ -200,3 +230,18 @@ def test_a_score_is_that_of_its_episodes():
     infos = [roll_out(environment, -0.6, seed=1000, options={"number": n})[2] for n in range(3)]
     assert result["score"] == pytest.approx(np.mean([info["score"] for info in infos]))
     assert result["aborted"] == 0.0
+
+
+def test_a_score_tells_the_policy_the_rise_of_every_episode():
+    class Listener:
+        rises = ()
+
+        def start(self, rise_time):
+            self.rises += (rise_time,)
+
+        def __call__(self, seen):
+            return -0.6
+
+    policy = Listener()
+    eupnea.score(policy, episodes=12, hold=100, prescriptions="bedside")
+    assert len(policy.rises) == 12 and 0.0 in policy.rises and 0.05 <= max(policy.rises) <= 0.4

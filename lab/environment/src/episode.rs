@@ -6,6 +6,7 @@ use score::evaluate::{InspirationRecord, Score};
 use shared::breath::Breath;
 use shared::control::Observation;
 use shared::safety::alarms::Fault;
+use shared::settings::Settings;
 use ventilator::{BenchSource, SourceError, Tick};
 
 use crate::action::Commanded;
@@ -62,8 +63,10 @@ pub struct Episode {
     pub number: u32,
     /// Name of its plant.
     pub plant: String,
-    /// PIP, cmH2O.
-    pub pip: f32,
+    /// Settings of its breaths.
+    pub settings: Settings,
+    /// Its steps if nothing aborts it.
+    pub steps: u32,
     /// Scores of its complete breaths.
     pub scores: Vec<Score>,
     /// The fault with which the ventilator aborted it.
@@ -116,18 +119,18 @@ impl Environment {
     /// A bench or settings that are refused.
     pub fn reset_to(&mut self, choice: Choice) -> Result<(), EnvironmentError> {
         let number = choice.number.unwrap_or(self.next);
-        let Task { config, waveforms, law, .. } = &*self.task;
-        let draw = config.plants.draw(waveforms, self.seed, number, choice, config.breathing)?;
+        let Task { config, prescriptions, law, .. } = &*self.task;
+        let draw = config.plants.draw(prescriptions, self.seed, number, choice, config.breathing)?;
         let source =
             BenchSource::new(&draw.bench, law.clone(), &draw.settings, config.period_us, draw.noise)?;
         let source = source.with_monitors(self.task.monitors);
         self.next = number.wrapping_add(self.stride);
-        self.ended =
-            Episode { number, plant: draw.bench.name.clone(), pip: draw.settings.pip, ..Episode::default() };
+        let breath = Breath::new(&draw.settings, config.period_us)?;
+        let (plant, steps) = (draw.bench.name.clone(), self.task.steps_of(breath.inspiration_ticks()));
+        self.ended = Episode { number, plant, settings: draw.settings, steps, ..Episode::default() };
         // The memory of the last record serves again: freeing and asking for it would cost more than a step.
         let record =
             std::mem::take(self.running.as_mut().map_or(&mut self.last, |running| &mut running.record));
-        let breath = Breath::new(&draw.settings, config.period_us)?;
         let scores = Vec::new();
         let mut running =
             Running { source, draw, breath, breaths: 0, steps: 0, ticks: 0, command: 0.0, record, scores };
@@ -205,7 +208,7 @@ impl Environment {
         };
         let worst = self.task.config.reward.worst(&running.draw.settings);
         let of_step = (reward + f64::from(missing) * worst) / f64::from(planned);
-        let reward = of_step + f64::from(self.task.steps() - running.steps) * worst;
+        let reward = of_step + f64::from(self.ended.steps - running.steps) * worst;
         self.end(Some(*fault));
         Ok(Step { reward, ended: true })
     }

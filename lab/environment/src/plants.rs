@@ -2,6 +2,7 @@
 
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
+use plant::prescriptions::{Prescriptions, PrescriptionsError};
 use score::breathing::{RHYTHMS, STRENGTHS, patient};
 use shared::settings::Settings;
 use ventilator::seeds;
@@ -39,16 +40,26 @@ pub struct Choice {
     pub noise: Option<u64>,
 }
 
-/// Waveforms of the episodes.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Waveforms {
-    /// PIPs, which take turns, cmH2O.
-    pub(crate) pips: Vec<f32>,
-    /// All other settings.
-    pub(crate) settings: Settings,
-}
-
 impl Plants {
+    /// The prescriptions of this name: of a family, `paper` and `bedside` are its own.
+    ///
+    /// # Errors
+    /// See [`PrescriptionsError`].
+    pub fn prescriptions(&self, name: &str) -> Result<Prescriptions, PrescriptionsError> {
+        match self {
+            Self::Benches(_) => Prescriptions::find(name),
+            Self::Family(family) => family.prescriptions(name),
+        }
+    }
+
+    /// The waveforms of episodes without other ones: those of the paper, or of the family.
+    pub fn usual(&self) -> Prescriptions {
+        match self {
+            Self::Benches(_) => Prescriptions::default(),
+            Self::Family(family) => family.listed(),
+        }
+    }
+
     /// Number of plants before the next waveform takes its turn.
     fn per_waveform(&self) -> u32 {
         match self {
@@ -60,22 +71,23 @@ impl Plants {
     /// The episode with this number, from 0, of those that a seed gives. With `breathing`, its patient breathes.
     pub(crate) fn draw(
         &self,
-        waveforms: &Waveforms,
+        prescriptions: &Prescriptions,
         seed: u64,
         number: u32,
         choice: Choice,
         breathing: bool,
     ) -> Result<Draw, EnvironmentError> {
         let turn = number / self.per_waveform();
-        let own = waveforms.pips[turn as usize % waveforms.pips.len()];
-        let settings = Settings { pip: choice.pip.unwrap_or(own), ..waveforms.settings };
+        // Every plant meets every listed waveform; each episode has its own of those that are drawn.
+        let own = prescriptions.draw(seed, if prescriptions.are_listed() { turn } else { number });
+        let settings = Settings { pip: choice.pip.unwrap_or(own.pip), ..own };
         settings.validate()?;
         let mut bench = match self {
             Self::Benches(benches) => benches[number as usize % benches.len()].clone(),
             Self::Family(family) => family.draw(seed, number),
         };
         if breathing {
-            let turn = turn as usize / waveforms.pips.len();
+            let turn = turn as usize / prescriptions.pips.len().max(1);
             let rhythm = RHYTHMS[turn / STRENGTHS.len() % RHYTHMS.len()];
             bench.patient = patient(STRENGTHS[turn % STRENGTHS.len()], rhythm, &settings);
         }

@@ -1,18 +1,20 @@
 //! The task of an environment: what was configured, and what is built from it.
 
 use serde::{Deserialize, Serialize};
-use shared::breath::{Breath, DEFAULT_PERIOD_US, PAPER_PIPS};
+use shared::breath::{Breath, DEFAULT_PERIOD_US};
 use shared::control::COMMAND_MAX;
+use shared::math;
 use shared::safety::alarms::Fault;
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 
 use plant::bench::{BenchConfig, steps_per_period};
+use plant::prescriptions::Prescriptions;
 use ventilator::{SourceError, Tick};
 
 use crate::action::Commanded;
 use crate::observation::Observer;
-use crate::plants::{Plants, Waveforms};
+use crate::plants::Plants;
 use crate::{ActionKind, EnvironmentError, ObservationKind};
 
 /// Longest time for which an action is held, ticks.
@@ -27,10 +29,8 @@ const WEIGHT_MAX: f64 = 1e9;
 pub struct TaskConfig {
     /// Plants.
     pub plants: Plants,
-    /// PIPs of the waveforms, which take turns, cmH2O; those of the paper or of the family if none.
-    pub pips: Option<Vec<f32>>,
-    /// All other settings; the defaults or those of the family if none.
-    pub settings: Option<Settings>,
+    /// Settings of the breaths; the waveforms of the paper or of the family if none.
+    pub prescriptions: Option<Prescriptions>,
     /// Whether the patients breathe.
     pub breathing: bool,
     /// Control period, microseconds.
@@ -54,8 +54,7 @@ impl Default for TaskConfig {
     fn default() -> Self {
         Self {
             plants: Plants::Benches(vec![BenchConfig::default()]),
-            pips: None,
-            settings: None,
+            prescriptions: None,
             breathing: false,
             period_us: DEFAULT_PERIOD_US,
             hold: 10,
@@ -111,11 +110,10 @@ impl Reward {
 #[derive(Clone, Debug)]
 pub struct Task {
     pub(crate) config: TaskConfig,
-    pub(crate) waveforms: Waveforms,
+    pub(crate) prescriptions: Prescriptions,
     pub(crate) law: Commanded,
     pub(crate) observer: Observer,
     pub(crate) monitors: Monitors,
-    steps: u32,
 }
 
 impl Task {
@@ -127,7 +125,7 @@ impl Task {
         if matches!(&config.plants, Plants::Benches(benches) if benches.is_empty()) {
             return Err(EnvironmentError::Empty("plant"));
         }
-        let waveforms = waveforms(&config)?;
+        let prescriptions = prescriptions(&config)?;
         bounded("hold", config.hold, HOLD_MAX)?;
         bounded("breaths", config.breaths, BREATHS_MAX)?;
         let Reward { error, effort, overshoot } = config.reward;
@@ -145,8 +143,7 @@ impl Task {
             law: config.action.law(config.period_us)?,
             observer: config.observation.observer(config.period_us)?,
             monitors: if config.monitors { Monitors::ALL } else { no_monitors() },
-            steps: config.breaths * inspiration_ticks(&waveforms, config.period_us)?.div_ceil(config.hold),
-            waveforms,
+            prescriptions,
             config,
         })
     }
@@ -161,31 +158,28 @@ impl Task {
         self.config.observation.len()
     }
 
-    /// Steps of an episode that is not aborted.
+    /// Steps of the longest episode: of each one that is not aborted, unless the inspiratory time is drawn.
     pub fn steps(&self) -> u32 {
-        self.steps
+        self.steps_of(math::ticks(self.prescriptions.longest_inspiration(), self.config.period_us))
+    }
+
+    /// Steps of an episode whose inspirations have this many ticks, if it is not aborted.
+    pub(crate) fn steps_of(&self, inspiration_ticks: u32) -> u32 {
+        self.config.breaths * inspiration_ticks.div_ceil(self.config.hold)
     }
 }
 
-/// Ticks of an inspiration; they do not depend on PIP.
-fn inspiration_ticks(waveforms: &Waveforms, period_us: u32) -> Result<u32, EnvironmentError> {
-    steps_per_period(period_us).map_err(SourceError::from)?;
-    let settings = Settings { pip: waveforms.pips[0], ..waveforms.settings };
-    Ok(Breath::new(&settings, period_us)?.inspiration_ticks())
-}
-
-fn waveforms(config: &TaskConfig) -> Result<Waveforms, EnvironmentError> {
-    let (pips, settings) = match &config.plants {
-        Plants::Family(family) => (family.pips.clone(), family.settings),
-        Plants::Benches(_) => (PAPER_PIPS.to_vec(), Settings::default()),
-    };
-    let pips = config.pips.clone().unwrap_or(pips);
-    let settings = config.settings.unwrap_or(settings);
-    if pips.is_empty() {
+/// The prescriptions of a configuration, whose breaths can be run at its control period.
+fn prescriptions(config: &TaskConfig) -> Result<Prescriptions, EnvironmentError> {
+    steps_per_period(config.period_us).map_err(SourceError::from)?;
+    let prescriptions = config.prescriptions.clone().unwrap_or_else(|| config.plants.usual());
+    if prescriptions.are_listed() && prescriptions.pips.is_empty() {
         return Err(EnvironmentError::Empty("PIP"));
     }
-    pips.iter().try_for_each(|pip| Settings { pip: *pip, ..settings }.validate())?;
-    Ok(Waveforms { pips, settings })
+    for number in 0..prescriptions.pips.len().max(1) {
+        Breath::new(&prescriptions.draw(0, number as u32), config.period_us)?;
+    }
+    Ok(prescriptions)
 }
 
 fn bounded(name: &'static str, value: u32, most: u32) -> Result<(), EnvironmentError> {

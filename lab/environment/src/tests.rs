@@ -5,10 +5,12 @@ use std::sync::Arc;
 use learn::controller::authors::averages::averages;
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
+use plant::prescriptions::Prescriptions;
 use proptest::prelude::*;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::{Controller, Observation};
+use shared::settings::Settings;
 use trials::robust::plant_run::{PlantRun, breaths};
 
 use super::*;
@@ -35,17 +37,41 @@ fn family() -> Plants {
 #[test]
 fn a_pid_without_a_correction_has_the_scores_of_the_robustness_test() {
     let action = ActionKind::Residual { gains: GAINS, authority: 100.0 };
-    let config = TaskConfig { plants: family(), breaths: 3, hold: 1, action, ..TaskConfig::default() };
-    let mut environment = environment(config);
     let pid = Controller::Pid(Pid::new(GAINS, DEFAULT_PERIOD_US).unwrap());
-    for number in 0..4 {
-        environment.reset().unwrap();
-        run(&mut environment, 0.0);
-        let family = Family::find("adult").unwrap();
-        let plant = PlantRun::new(&family, &family.listed(), 1, number, 3);
-        let scores: Vec<f64> = environment.episode().scores.iter().map(|score| score.score).collect();
-        assert_eq!(scores, breaths(&plant, &pid).unwrap().every, "plant {number}");
+    for name in ["paper", "bedside"] {
+        let prescriptions = family().prescriptions(name).unwrap();
+        let (plants, own) = (family(), Some(prescriptions.clone()));
+        let config =
+            TaskConfig { plants, prescriptions: own, breaths: 3, hold: 1, action, ..TaskConfig::default() };
+        let mut environment = environment(config);
+        for number in 0..4 {
+            environment.reset().unwrap();
+            run(&mut environment, 0.0);
+            let plant = PlantRun::new(&Family::find("adult").unwrap(), &prescriptions, 1, number, 3);
+            let scores: Vec<f64> = environment.episode().scores.iter().map(|score| score.score).collect();
+            assert_eq!(scores, breaths(&plant, &pid).unwrap().every, "{name}, plant {number}");
+        }
     }
+}
+
+#[test]
+fn an_episode_of_drawn_prescriptions_has_its_own_length_and_breathing_patient() {
+    let prescriptions = Some(Prescriptions::find("bedside").unwrap());
+    let config = TaskConfig { prescriptions, breathing: true, ..TaskConfig::default() };
+    let mut environment = environment(config);
+    let mut lengths = Vec::new();
+    for _ in 0..20 {
+        environment.reset().unwrap();
+        let steps = run(&mut environment, -1.0).len();
+        let Episode { settings, steps: planned, .. } = environment.episode();
+        assert_eq!(steps as u32, *planned);
+        assert!((steps as f32 - settings.inspiratory_time * 100.0).abs() <= 1.1, "{steps} {settings:?}");
+        assert!(*planned <= environment.task().steps());
+        lengths.push(steps);
+    }
+    assert_eq!(environment.task().steps(), 300, "the longest inspiration is 3 s");
+    lengths.dedup();
+    assert!(lengths.len() > 15, "{lengths:?}");
 }
 
 #[test]
@@ -56,7 +82,7 @@ fn plants_and_waveforms_take_turns() {
     for _ in 0..54 {
         environment.reset().unwrap();
         let episode = environment.episode();
-        seen.push((episode.plant.clone(), episode.pip.to_bits()));
+        seen.push((episode.plant.clone(), episode.settings.pip.to_bits()));
     }
     seen.sort();
     seen.dedup();
@@ -111,16 +137,20 @@ fn an_abort_never_pays() {
         [1, 10, 300, 1000].into_iter().zip(rewards.iter().cycle().skip(1)).chain([(1000, &rewards[0])])
     {
         for number in 0..6 {
-            let config = TaskConfig { hold, reward: *reward, ..TaskConfig::default() };
-            let [open, closed] = open_and_closed(config, number);
-            assert!(open < closed, "{hold} {reward:?}: {open} {closed}");
+            for name in ["paper", "bedside"] {
+                let prescriptions = Some(Prescriptions::find(name).unwrap());
+                let config = TaskConfig { hold, reward: *reward, prescriptions, ..TaskConfig::default() };
+                let [open, closed] = open_and_closed(config, number);
+                assert!(open < closed, "{name}, {hold} {reward:?}: {open} {closed}");
+            }
         }
     }
 }
 
 #[test]
 fn an_aborted_episode_counts_every_tick_that_did_not_run_as_the_worst() {
-    let config = TaskConfig { hold: 1000, pips: Some(vec![20.0]), ..TaskConfig::default() };
+    let prescriptions = Some(Prescriptions::listed("one", &[20.0], Settings::default()));
+    let config = TaskConfig { hold: 1000, prescriptions, ..TaskConfig::default() };
     let mut environment = environment(config);
     environment.reset().unwrap();
     let of_step = environment.step(1.0).unwrap();

@@ -16,6 +16,7 @@ use shared::settings::Settings;
 
 use crate::evaluate::{EVALUATE, InspirationRecord, Plan};
 use plant::bench::{BenchConfig, PatientConfig};
+use plant::prescriptions::field;
 use progress::{Progress, Task};
 use ventilator::SourceError;
 
@@ -183,11 +184,13 @@ fn waveforms<C: ControlLaw + Clone + Sync>(
     outcomes.into_iter().collect()
 }
 
-/// A patient with efforts of this mean peak, cmH2O, in one of the [`RHYTHMS`].
+/// A patient with efforts of this mean peak, cmH2O, in one of the [`RHYTHMS`]: no faster than efforts can follow each other, nor than a
+/// rate can be set.
 pub fn patient(strength: f64, (share, duration_s): (f64, f64), settings: &Settings) -> PatientConfig {
+    let fastest = f64::from(field("rate").max).min(60.0 / duration_s);
     PatientConfig {
         effort_cmh2o: strength,
-        effort_rate_per_min: share * f64::from(settings.rate),
+        effort_rate_per_min: (share * f64::from(settings.rate)).min(fastest),
         effort_duration_s: duration_s,
         effort_variability_percent: VARIABILITY_PERCENT,
         ..PatientConfig::default()

@@ -103,3 +103,13 @@ fn refused_settings_are_an_error() {
     let refused = breathing(&[BenchConfig::default()], &[&pid(3.0, 60.0)], &plan, &Progress::silent());
     assert!(matches!(refused, Err(SourceError::Settings(_))));
 }
+
+#[test]
+fn a_patient_can_breathe_at_every_rate_that_can_be_set() {
+    let rate = field("rate");
+    for (rhythm, rate) in RHYTHMS.iter().flat_map(|rhythm| [rate.min, rate.max].map(|rate| (*rhythm, rate))) {
+        let patient = patient(STRENGTHS[0], rhythm, &Settings { rate, ..Settings::default() });
+        let bench = BenchConfig { patient, ..BenchConfig::default() };
+        assert!(bench.validate().is_ok(), "{rhythm:?} at {rate}: {:?}", bench.validate());
+    }
+}
