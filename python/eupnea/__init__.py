@@ -36,6 +36,7 @@ from eupnea.commands import (
 )
 from eupnea.environments import PressureControl, VectorPressureControl, register, score, vector
 from eupnea.recordings import Recording
+from eupnea.reference import normalized_score
 
 __version__ = version("eupnea")
 
@@ -54,6 +55,7 @@ __all__ = [
     "export",
     "fit",
     "judge",
+    "normalized_score",
     "policies",
     "register",
     "robust",

@@ -54,7 +54,7 @@ def run(command: str, *files: PathLike, progress: Progress | bool = True, **opti
     with tempfile.TemporaryDirectory() as folder:
         named = _arguments(options, known, Path(folder))
         arguments = [command, *named, "--", *(os.fspath(file) for file in files)]
-        observer = _Line() if progress is True and sys.stderr.isatty() else progress
+        observer = Line() if progress is True and sys.stderr.isatty() else progress
         text = _native.call(arguments, observer if callable(observer) else None)
     result: Result = json.loads(text)
     return result
@@ -80,10 +80,11 @@ def _arguments(options: dict[str, Any], repeated: dict[str, bool], folder: Path)
             yield f"{flag}={os.fspath(value) if isinstance(value, os.PathLike) else value}"
 
 
-class _Line:
+class Line:
     """Shows the progress on one line of standard error."""
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        """Show the stage, the number of steps done, and their total."""
         print(f"\r{stage} {done}/{total}\x1b[K", end="\n" if done >= total else "", file=sys.stderr, flush=True)
 
 

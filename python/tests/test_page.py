@@ -12,6 +12,7 @@ import pytest
 
 import eupnea
 from eupnea.environments import REGISTERED
+from eupnea.reference import SCORES
 
 TOP = Path(__file__).resolve().parents[2]
 ENVIRONMENTS = TOP / "docs" / "ENVIRONMENTS.md"
@@ -35,6 +36,7 @@ def run_command(line, folder):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_page_can_be_walked(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "datasets")
     names = {}
     steps = list(CODE.finditer(page.read_text(encoding="utf-8")))
     assert len(steps) >= 2
@@ -60,6 +62,15 @@ def test_the_page_names_every_environment_and_option():
     named = {name for row in rows("option of `make` and `vector`") for name in re.findall(r"`(\w+)`", row[0])}
     # The other two have a section of their own.
     assert named | {"observation", "action"} == set(eupnea.environments.OPTIONS)
+
+
+def test_the_reference_scores_are_those_of_the_package():
+    table = rows("id | PID")
+    assert [row[0].strip("` ") for row in table] == [name for name in REGISTERED if name != "eupnea/PressureControl-v0"]
+    for name, *cells in table:
+        paper, bedside = (SCORES[name.strip("` ")][prescriptions] for prescriptions in ("paper", "bedside"))
+        of_policies = [paper["pid"], paper["learned"], paper.get("bound"), bedside["pid"], bedside["learned"]]
+        assert [cell.strip() for cell in cells] == ["-" if row is None else f"{row['score']:.3f}" for row in of_policies]
 
 
 def test_the_spaces_are_those_of_the_page():
