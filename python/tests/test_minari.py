@@ -8,6 +8,8 @@ import pytest
 
 import eupnea
 from eupnea import __main__, reference
+from eupnea._native import KNOWN_GOOD
+from eupnea.policies import Known
 
 minari = pytest.importorskip("minari")
 
@@ -66,6 +68,21 @@ def test_settings_plants_and_actions_vary(data_set):
         assert len({each["settings"][name] for each in about}) == EPISODES
     assert len({each["plant"] for each in about}) == EPISODES
     assert all(np.unique(episode.actions).size > 10 for episode in data_set)
+
+
+def test_an_action_is_the_command_of_the_known_good_pid_with_a_perturbation(data_set):
+    environment = data_set.recover_environment(observation="plain").unwrapped
+    pid = Known(eupnea.Controller.pid(KNOWN_GOOD, period_us=10_000), as_action=True)
+    perturbed = 0
+    for episode, about in zip(data_set, data_set.storage.get_episode_metadata(data_set.episode_indices), strict=True):
+        seen, _ = environment.reset(seed=about["seed"], options=about["options"])
+        pid.reset()
+        # One value per tick of 1 ms, percent of the valve, of which 50 are an action of 1.
+        for action, percent in zip(episode.actions, environment.exploration(about["seed"])[::10], strict=True):
+            assert action == pytest.approx(np.clip(pid(seen) + percent / 50, -1, 1), abs=1e-5)
+            perturbed += percent != 0
+            seen, *_ = environment.step(action)
+    assert perturbed > 0.05 * data_set.total_steps
 
 
 def test_episodes_are_sampled_and_scores_normalized(data_set):
