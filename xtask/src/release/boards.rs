@@ -9,8 +9,8 @@ use ihex::Record;
 use object::elf;
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
 
-use super::{Release, VERSION};
-use crate::firmware::{BOARDS, Board, without_key};
+use super::{Release, VERSION, archives};
+use crate::firmware::{self, BOARDS, Board, Images, without_key};
 use crate::memory::{self, Region};
 use crate::web_demo::remapped;
 
@@ -46,7 +46,15 @@ pub fn build(release: &Release<'_>) -> Result<()> {
         let path = release.folder.join(format!("eupnea-{VERSION}-{}.zip", board.name));
         release.shell.write_file(path, file)?;
     }
-    Ok(())
+    emulated(release)
+}
+
+/// The images that `trainer qemu --images` and `demo --board` start.
+fn emulated(release: &Release<'_>) -> Result<()> {
+    let Images { hil, desk, shim, .. } = firmware::build(release.shell)?;
+    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let files = [hil, desk, shim].into_iter().filter_map(|path| Some((name(&path)?, path))).collect();
+    archives::zip(&release.folder.join(format!("eupnea-{VERSION}-qemu.zip")), &files, release.time_s)
 }
 
 /// A board's release file.

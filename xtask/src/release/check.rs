@@ -49,6 +49,7 @@ pub fn run(shell: &Shell, folder: &Path, chosen: &dyn Fn(Part) -> bool) -> Resul
     }
     if chosen(Part::Archives) {
         machines.extend(archives(shell, folder, &place)?);
+        compiles_for_macos(shell)?;
     }
     if chosen(Part::Packages) {
         packages(shell, folder, &place)?;
@@ -118,6 +119,16 @@ fn archives(shell: &Shell, folder: &Path, place: &Path) -> Result<Vec<Machine>> 
         machines.push(Machine { name, folder: place.join(archive), suffix: "", runner });
     }
     Ok(machines)
+}
+
+/// No machine here starts programs for macOS, so they are only compiled.
+fn compiles_for_macos(shell: &Shell) -> Result<()> {
+    let target = "aarch64-apple-darwin";
+    cmd!(shell, "bash .ci/setup/target {target}").quiet().run()?;
+    let _tools = programs::tools(shell)?;
+    cmd!(shell, "cargo-zigbuild check --quiet --target {target} -p host -p lab -p fmu_library").quiet().run()?;
+    println!("macOS: compiles");
+    Ok(())
 }
 
 /// Lints the packages, and starts the programs of the one for this processor from where it puts them.

@@ -6,7 +6,7 @@
 //! | `archives` | static programs for any Linux, x86-64 and arm64 | [`archives`] |
 //! | `packages` | Debian packages, amd64 and arm64 | [`debian`] |
 //! | `windows` | programs for Windows, x86-64 | [`archives`] |
-//! | `firmware` | images of all boards with weights, signed | [`boards`] |
+//! | `firmware` | images of all boards with weights, signed, and those for QEMU | [`boards`] |
 //! | `lists` | parts of chip and host as `CycloneDX`, the demonstration, and checksums of all files | this one |
 //!
 //! All files are reproducible: the programs name neither a folder of the machine nor a time but that of the revision.
