@@ -1,9 +1,11 @@
 //! Origin of a recording, a simulator or a report, with enough detail to reproduce it.
 
+use std::fs::File;
+use std::io::{self, Read};
 use std::process::Command;
 use std::sync::OnceLock;
 
-use crc::{CRC_64_XZ, Crc};
+use crc::{CRC_64_XZ, Crc, Table};
 use serde::{Deserialize, Serialize};
 
 use crate::identity::TestRun;
@@ -86,14 +88,25 @@ const TREE: &str = if RELEASED.is_some() { "" } else { env!("CARGO_MANIFEST_DIR"
 /// differs between two builds of one dirty revision. `unknown` if the file cannot be read.
 pub fn build_id() -> String {
     static ID: OnceLock<String> = OnceLock::new();
-    const SUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
     ID.get_or_init(|| {
         // Linux keeps the file under this name even if it has been replaced.
-        let program = std::fs::read("/proc/self/exe");
-        let program = program.or_else(|_| std::fs::read(std::env::current_exe()?));
-        program.map_or_else(|_| "unknown".to_owned(), |bytes| format!("{:016x}", SUM.checksum(&bytes)))
+        let program = File::open("/proc/self/exe");
+        let sum = program.or_else(|_| File::open(std::env::current_exe()?)).and_then(checksum);
+        sum.map_or_else(|_| "unknown".to_owned(), |sum| format!("{sum:016x}"))
     })
     .clone()
+}
+
+/// Checksum of what a reader has left. An unoptimised program has a hundred megabytes, so sixteen bytes are taken at once.
+fn checksum(mut reader: impl Read) -> io::Result<u64> {
+    static SUM: Crc<u64, Table<16>> = Crc::<u64, Table<16>>::new(&CRC_64_XZ);
+    let (mut digest, mut part) = (SUM.digest(), vec![0; 1 << 16]);
+    loop {
+        match reader.read(&mut part)? {
+            0 => return Ok(digest.finalize()),
+            count => digest.update(&part[..count]),
+        }
+    }
 }
 
 /// Asks git about the source tree, not about the current folder, which may be another repository.
@@ -121,6 +134,13 @@ mod tests {
         let commit = revision.strip_suffix("-dirty").unwrap_or(&revision);
         let is_commit = commit.len() == 12 && commit.bytes().all(|digit| digit.is_ascii_hexdigit());
         assert!(is_commit || revision == RELEASED.unwrap_or("unknown"), "{revision}");
+    }
+
+    #[test]
+    fn the_checksum_of_a_file_is_that_of_xz_however_long_it_is() {
+        assert_eq!(checksum(&b"123456789"[..]).unwrap(), CRC_64_XZ.check);
+        let long: Vec<u8> = (0..200_001_u32).map(|place| (place % 251) as u8).collect();
+        assert_eq!(checksum(&long[..]).unwrap(), Crc::<u64>::new(&CRC_64_XZ).checksum(&long));
     }
 
     #[test]
