@@ -1,5 +1,7 @@
 //! `cargo xtask qemu-test`: runs every test of the real image in QEMU, and those of the C export with all compilers.
 
+use std::path::Path;
+
 use anyhow::{Context, Result};
 use serde::Deserialize;
 use xshell::{Shell, cmd};
@@ -8,6 +10,8 @@ use crate::firmware;
 
 /// File with the results of the golden test.
 const GOLDEN: &str = "golden.json";
+/// The golden test.
+const GOLDEN_TEST: &str = "golden_trace_of_learned_weights";
 /// Environment variable that gives the tests the folder of the images.
 const IMAGES: &str = "EUPNEA_IMAGES";
 
@@ -29,11 +33,16 @@ pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     let images = firmware::build_unsigned(shell)?;
     firmware::build_signed(shell)?;
     firmware::build_probe(shell)?;
-    let folder = images.folder();
+    test(shell, images.folder(), &["c_export", "emulator", "qemu"], filters)
+}
+
+/// Runs tests, with the images of a folder.
+fn test(shell: &Shell, images: &Path, programs: &[&str], filters: &[String]) -> Result<()> {
     // The same packages as for all other tests, so that their dependencies are not built again.
     let packages = ["--workspace", "--exclude", "firmware", "--features", "tests/board"];
-    cmd!(shell, "cargo test {packages...} --test c_export --test emulator --test qemu -- {filters...}")
-        .env(IMAGES, folder)
+    let programs = programs.iter().flat_map(|program| ["--test", program]);
+    cmd!(shell, "cargo test {packages...} {programs...} -- {filters...}")
+        .env(IMAGES, images)
         .quiet()
         .run()?;
     Ok(())
@@ -43,9 +52,9 @@ pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
 pub fn golden(shell: &Shell) -> Result<Golden> {
     let images = firmware::build_unsigned(shell)?;
     let path = images.folder().join(GOLDEN);
-    let written = |path: &std::path::Path| std::fs::metadata(path).and_then(|data| data.modified()).ok();
+    let written = |path: &Path| std::fs::metadata(path).and_then(|data| data.modified()).ok();
     if written(&path) < written(&images.hil) {
-        run(shell, &["golden".to_owned()])?;
+        test(shell, images.folder(), &["qemu"], &[GOLDEN_TEST.to_owned()])?;
     }
     let text = shell.read_file(&path)?;
     serde_json::from_str(&text).with_context(|| format!("cannot read {}", path.display()))
