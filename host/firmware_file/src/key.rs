@@ -16,6 +16,14 @@ pub struct ReleaseKey([u8; PublicKey::BYTES]);
 pub struct KeyError;
 
 impl ReleaseKey {
+    /// The key of the project's releases, if the program was built with it in the variable `EUPNEA_RELEASE_KEY`.
+    ///
+    /// # Errors
+    /// A variable that has no key.
+    pub fn built_in() -> Result<Option<Self>, KeyError> {
+        option_env!("EUPNEA_RELEASE_KEY").filter(|key| !key.is_empty()).map(str::parse).transpose()
+    }
+
     /// The public half of a key pair.
     pub fn of(pair: &KeyPair) -> Self {
         Self(*pair.pk)

@@ -23,7 +23,7 @@ mod tests;
 pub use ed25519_compact::{KeyPair, Seed};
 pub use error::PackageError;
 pub use key::{KeyError, ReleaseKey, seal, signer};
-pub use manifest::{Content, Firmware, Manifest, Part, Stamp};
+pub use manifest::{Content, Firmware, Manifest, Part, Stamp, chip_of};
 pub use read::{Package, read};
 pub use write::write;
 

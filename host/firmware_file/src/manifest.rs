@@ -6,6 +6,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::PackageError;
 
+/// The chips of the boards, as probe-rs names them. An image for the desk, `BOARD-desk`, has the chip of its board.
+const CHIPS: [(&str, &str); 2] = [("stm32f405", "STM32F405RG"), ("stm32f446", "STM32F446RETx")];
+
+/// The chip of a board, as probe-rs names it; none for an unknown board.
+pub fn chip_of(board: &str) -> Option<&'static str> {
+    let name = board.strip_suffix("-desk").unwrap_or(board);
+    CHIPS.iter().find(|(board, _)| *board == name).map(|(_, chip)| *chip)
+}
+
 /// The entry `manifest.json`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Manifest {

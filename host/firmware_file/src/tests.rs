@@ -176,6 +176,12 @@ fn a_file_with_the_name_of_the_manifest_is_not_written() {
 }
 
 #[test]
+fn an_image_for_the_desk_has_the_chip_of_its_board() {
+    let chips = ["stm32f405", "stm32f446-desk", "stm32f405-bench", ""].map(chip_of);
+    assert_eq!(chips, [Some("STM32F405RG"), Some("STM32F446RETx"), None, None]);
+}
+
+#[test]
 fn a_key_has_64_hexadecimal_digits() {
     let text = key().to_string();
     assert_eq!(text.parse(), Ok(key()));
