@@ -3,10 +3,7 @@
 use std::collections::VecDeque;
 
 use bedside::steer;
-use bedside::stream::{
-    Answer, DeviceInfo, EventKind, FromPage, Hello, Kind, Limits, STATE_EVERY_MS, SettingInfo, State, ToPage,
-    VERSION,
-};
+use bedside::stream::{Answer, DeviceInfo, EventKind, FromPage, Kind, ToPage};
 use bedside::watched::Out;
 use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
@@ -14,6 +11,7 @@ use shared::control::pid::PidGains;
 use shared::link::messages::Request;
 use shared::weights::IMAGE_BYTES;
 
+use crate::page::{Message, Shown, VIEWER, hand_on, hello};
 use crate::patient::{PAGE, Patient, PatientError};
 
 /// The learned controller: its name, which is also that of the family for which it was trained, and its weights.
@@ -21,8 +19,6 @@ const CONTROLLER: (&str, &[u8; IMAGE_BYTES]) = ("adult", include_bytes!("../../l
 /// The best single PID of that family.
 #[expect(clippy::unreadable_literal, reason = "the build writes the gains")]
 pub const RIVAL: PidGains = include!(concat!(env!("OUT_DIR"), "/rival.rs"));
-/// The page's number, for the wheels.
-const VIEWER: u64 = 0;
 /// Ticks between two messages of samples.
 const FRAME_TICKS: u32 = 20;
 /// Most ticks to catch up at once. A page that slept for longer goes on from where it was, so that it does not freeze.
@@ -30,21 +26,11 @@ const MOST_TICKS: u32 = 2000;
 /// Why there are no recordings.
 const NO_FILES: &str = "a page without a server writes no files: run `cargo trainer serve --demo` to record";
 
-/// A message to the page.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Message {
-    /// JSON.
-    Text(String),
-    /// Samples, in the stream's format.
-    Samples(Vec<u8>),
-}
-
 /// A device with what the page has and asks for.
 struct Bed {
     patient: Patient,
     watched: bool,
-    /// The state that was shown last, and when.
-    shown: Option<(State, u64)>,
+    shown: Shown,
 }
 
 /// The running demonstration.
@@ -67,32 +53,25 @@ impl Demo {
             for (title, controller) in [("PID", Ok(RIVAL)), (CONTROLLER.0, Err(CONTROLLER.1))] {
                 let number = beds.len() as u8;
                 let patient = Patient::start(number, title, &bench, controller)?;
-                beds.push(Bed { patient, watched: true, shown: None });
+                beds.push(Bed { patient, watched: true, shown: Shown::default() });
             }
         }
         let mut demo = Self { beds, out: VecDeque::new(), origin_ms: now_ms, ticks: 0.0 };
-        demo.queue(&ToPage::Hello(demo.hello()));
+        demo.greet();
         Ok(demo)
     }
 
-    fn hello(&self) -> Hello {
+    /// Greets the page, also again after it has shown something else.
+    pub fn greet(&mut self) {
         let info = |(id, bed): (u8, &Bed)| DeviceInfo {
             id,
             name: bed.patient.name.clone(),
             kind: Kind::Simulated,
             period_us: DEFAULT_PERIOD_US,
         };
-        Hello {
-            version: VERSION,
-            steer: true,
-            record: false,
-            demo: true,
-            settings: SettingInfo::all(),
-            limits: Limits::default(),
-            // The fit of a valve's play is not worth its size in a module.
-            measure: None,
-            devices: (0..).zip(&self.beds).map(info).collect(),
-        }
+        let devices = (0..).zip(&self.beds).map(info).collect();
+        self.queue(&hello(true, devices));
+        self.beds.iter_mut().for_each(|bed| bed.shown.forget());
     }
 
     /// Runs all devices until a time in ms since 1970.
@@ -145,13 +124,13 @@ impl Demo {
             FromPage::Take { .. } => {
                 // There is no other page.
                 let _ = bed.patient.wheel.take(VIEWER, PAGE, false);
-                bed.shown = None;
+                bed.shown.forget();
                 self.queue(&ToPage::Steerer { device, who: Some(PAGE.to_owned()), yours: true });
             }
             FromPage::Release { .. } => {
                 bed.patient.wheel.release(VIEWER);
                 let _ = bed.patient.ask(Request::ReleaseLease, now_ms);
-                bed.shown = None;
+                bed.shown.forget();
                 self.queue(&ToPage::Steerer { device, who: None, yours: false });
             }
             _ => {
@@ -164,39 +143,17 @@ impl Demo {
     }
 
     fn queue(&mut self, message: &ToPage) {
-        self.out.push_back(Message::Text(message.to_json()));
+        self.out.push_back(Message::text(message));
     }
 
     /// Queues what the devices have for the page, and the states that have changed or are due.
     fn send(&mut self, now_ms: u64) {
-        for bed in &mut self.beds {
-            for out in bed.patient.out.drain(..) {
-                match out {
-                    Out::Frame(frame) if bed.watched => self.out.push_back(Message::Samples(frame.bytes(0))),
-                    Out::Frame(_) => {}
-                    Out::Message(message) => self.out.push_back(Message::Text(message.to_json())),
-                }
-            }
-            if let Some(state) = due_state(bed, now_ms) {
-                self.out.push_back(Message::Text(ToPage::State(Box::new(state)).to_json()));
-            }
+        for Bed { patient, watched, shown } in &mut self.beds {
+            hand_on(&mut patient.out, *watched, &mut self.out);
+            let state = || patient.watched.state(now_ms, patient.wheel.who(), None, None);
+            shown.update(now_ms, state, &mut self.out);
         }
     }
-}
-
-/// The state of a device, if it must be shown now.
-fn due_state(bed: &mut Bed, now_ms: u64) -> Option<State> {
-    let age = bed.shown.as_ref().map(|(_, at)| now_ms.saturating_sub(*at));
-    if age.is_some_and(|age| age < STATE_EVERY_MS.0) {
-        return None;
-    }
-    let state = bed.patient.watched.state(now_ms, bed.patient.wheel.who(), None, None);
-    let unchanged = bed.shown.as_ref().is_some_and(|(shown, _)| *shown == state);
-    if unchanged && age.is_some_and(|age| age < STATE_EVERY_MS.1) {
-        return None;
-    }
-    bed.shown = Some((state.clone(), now_ms));
-    Some(state)
 }
 
 /// Carries out a request.

@@ -2,20 +2,20 @@
 
 use bedside::steer::Wheel;
 use bedside::watched::{Out, Watched};
-use monitoring::{LineCounters, News, POLLED};
+use monitoring::{News, POLLED};
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::pid::PidGains;
-use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::host_name::HostName;
-use shared::link::messages::{ControllerChoice, Event, Request, Response, ToDevice, ToHost, read_reply};
+use shared::link::messages::{ControllerChoice, Request, Response, ToHost};
 use shared::link::refusal::Refusal;
-use shared::link::telemetry::LossCounter;
 use shared::recorder::RecorderMemory;
 use shared::settings::Settings;
 use shared::weights::IMAGE_BYTES;
 use thiserror::Error;
 use virtual_chip::{Chip, PlantFault};
+
+use crate::line::Line;
 
 /// Name of the page, for the device's lease and for those who read the state.
 pub const PAGE: &str = "this page";
@@ -47,10 +47,7 @@ pub struct Patient {
     /// Messages for the page.
     pub out: Vec<Out>,
     chip: Chip<'static>,
-    decoder: FrameDecoder<DECODER_BYTES>,
-    losses: LossCounter,
-    counters: LineCounters,
-    sequence: u16,
+    line: Line,
     /// Ticks until the next poll.
     poll_in: u32,
 }
@@ -83,10 +80,7 @@ impl Patient {
             wheel: Wheel::default(),
             out: Vec::new(),
             chip,
-            decoder: FrameDecoder::new(),
-            losses: LossCounter::default(),
-            counters: LineCounters::default(),
-            sequence: 0,
+            line: Line::new(HOST),
             // Devices of one page are not all polled in the same instant.
             poll_in: 1 + u32::from(number) * 50 % POLL_TICKS,
         };
@@ -154,14 +148,11 @@ impl Patient {
 
     fn exchange(&mut self, request: Request, now_ms: u64) -> Option<Response> {
         self.listen(now_ms);
-        self.sequence = self.sequence.wrapping_add(1);
-        let message = ToDevice { sequence: self.sequence, request, host: Some(HOST) };
-        let mut buffer = [0; FRAME_BYTES];
-        let frame = encode_frame(&message, &mut buffer).ok()?;
+        let (sequence, frame) = self.line.frame(request)?;
         for byte in frame {
-            self.chip.hear(*byte);
+            self.chip.hear(byte);
         }
-        self.listen(now_ms)
+        self.listen(now_ms).filter(|(answered, _)| *answered == sequence).map(|(_, response)| response)
     }
 
     fn poll(&mut self, now_ms: u64) {
@@ -169,35 +160,22 @@ impl Patient {
             // A refusal is news, too.
             let _ = self.ask(request, now_ms);
         }
-        self.take(&News::Traffic(self.counters), now_ms);
+        self.take(&News::Traffic(self.line.counters()), now_ms);
     }
 
-    /// Reads what the device has sent; returns the answer to the last request, if it is there.
-    fn listen(&mut self, now_ms: u64) -> Option<Response> {
+    /// Reads what the device has sent; returns its last answer, with the sequence number.
+    fn listen(&mut self, now_ms: u64) -> Option<(u16, Response)> {
         let mut answer = None;
         for byte in std::mem::take(self.chip.out()) {
-            let Poll::Frame(content) = self.decoder.push(byte) else { continue };
-            match read_reply(content) {
-                Ok(ToHost::Response { sequence, response }) if sequence == self.sequence => {
-                    answer = Some(response);
+            match self.line.hear(byte) {
+                Some(Ok(ToHost::Response { sequence, response })) => {
+                    answer = Some((sequence, response));
                 }
-                Ok(ToHost::Event(event)) => {
-                    self.count(&event);
-                    self.take(&News::Event(event), now_ms);
-                }
-                Ok(ToHost::Response { .. }) | Err(_) => {}
+                Some(Ok(ToHost::Event(event))) => self.take(&News::Event(event), now_ms),
+                Some(Err(_)) | None => {}
             }
         }
-        let counters = self.decoder.counters();
-        (self.counters.frames, self.counters.corrupt) = (counters.frames.into(), counters.corrupt().into());
         answer
-    }
-
-    fn count(&mut self, event: &Event) {
-        if let Event::Telemetry(batch) = event {
-            self.losses.arrived(batch.sequence);
-            (self.counters.lost_batches, self.counters.device) = (self.losses.lost(), batch.counters);
-        }
     }
 
     fn take(&mut self, news: &News, now_ms: u64) {

@@ -7,7 +7,8 @@ use std::path::Path;
 
 use plant::bench::family::Family;
 use serde_json::Value;
-use webdemo::demo::{Demo, Message, RIVAL};
+use webdemo::demo::{Demo, RIVAL};
+use webdemo::page::Message;
 
 /// Samples of each device that are compared.
 const SAMPLES: usize = 1000;

@@ -1,72 +1,19 @@
-// The devices in the page itself: the bench and the core of the project, compiled to WebAssembly, at the pace of the page's clock.
+// The devices in the page itself: the demonstration's, at the pace of the page's clock, or a board at a port of this computer.
 
 import { every } from "./beat";
+import { Module } from "./module";
+import type { SerialLine } from "./serial";
 import { deliver, type Listener, type Transport } from "./transport";
 
 /** Interval at which the devices go on, ms. */
 const ADVANCE_EVERY = 20;
-/** What `next` has found. */
-const TEXT = 1;
-const SAMPLES = 2;
-
-/** What the module exports, as `host/webdemo/src/exports.rs` defines it; times are in ms since 1970. */
-export interface Exports {
-  memory: WebAssembly.Memory;
-  start(now: number): number;
-  advance(now: number): void;
-  input(bytes: number): number;
-  receive(now: number): void;
-  next(): number;
-  message(): number;
-  message_bytes(): number;
-}
-
-/** The module with its memory. */
-export class Devices {
-  private readonly encoder = new TextEncoder();
-  private readonly decoder = new TextDecoder();
-
-  constructor(private readonly exports: Exports) {}
-
-  static async load(module: BufferSource): Promise<Devices> {
-    const { instance } = await WebAssembly.instantiate(module, {});
-    return new Devices(instance.exports as unknown as Exports);
-  }
-
-  /** Starts the devices. */
-  start(now: number): void {
-    if (this.exports.start(now) !== 1) throw new Error(this.decoder.decode(this.message()));
-  }
-
-  advance(now: number): void {
-    this.exports.advance(now);
-  }
-
-  receive(message: object, now: number): void {
-    const bytes = this.encoder.encode(JSON.stringify(message));
-    const place = this.exports.input(bytes.length);
-    new Uint8Array(this.exports.memory.buffer, place, bytes.length).set(bytes);
-    this.exports.receive(now);
-  }
-
-  /** All messages for the page. */
-  *messages(): Generator<string | ArrayBuffer> {
-    for (let kind = this.exports.next(); kind === TEXT || kind === SAMPLES; kind = this.exports.next()) {
-      const message = this.message();
-      yield kind === TEXT ? this.decoder.decode(message) : message.buffer;
-    }
-  }
-
-  /** A copy: the memory moves when it grows. */
-  private message(): Uint8Array<ArrayBuffer> {
-    return new Uint8Array(this.exports.memory.buffer, this.exports.message(), this.exports.message_bytes()).slice();
-  }
-}
 
 const now = () => performance.timeOrigin + performance.now();
 
 export class Local implements Transport {
-  private devices: Devices | null = null;
+  /** The running module; null before it is loaded and after it has stopped. */
+  module: Module | null = null;
+  private line: SerialLine | null = null;
   heard = performance.now();
   malformed = 0;
   readonly waits = 0;
@@ -77,34 +24,54 @@ export class Local implements Transport {
   }
 
   get connected(): boolean {
-    return this.devices !== null;
+    return this.module !== null;
   }
 
   /** There is no connection that could break. */
   keep(): void {}
 
   send(message: object): boolean {
-    if (this.devices === null) return false;
-    this.attempt((devices) => devices.receive(message, now()));
+    if (this.module === null) return false;
+    this.attempt((module) => module.receive(message, now()));
     return true;
+  }
+
+  /** Shows the board on a line instead of the demonstration; `gone` when the line ends by itself. */
+  connect(line: SerialLine, gone: () => void): void {
+    this.line = line;
+    this.attempt((module) => module.connect(crypto.getRandomValues(new Uint32Array(1))[0] ?? 0));
+    line.listen((bytes) => this.attempt((module) => module.hear(bytes, now())), () => {
+      this.line = null;
+      this.attempt((module) => module.unplugged(now()));
+      gone();
+    });
+  }
+
+  /** Leaves the board, which goes on as it is, and shows the demonstration again. */
+  async leave(): Promise<void> {
+    const { line } = this;
+    this.line = null;
+    this.attempt((module) => line?.write(module.leave()));
+    await line?.close();
   }
 
   private async load(url: string): Promise<void> {
     const answer = await fetch(url);
     if (!answer.ok) throw new Error(`${url}: ${answer.status} ${answer.statusText}`);
-    const devices = await Devices.load(await answer.arrayBuffer());
-    devices.start(now());
-    this.devices = devices;
+    const module = await Module.load(await answer.arrayBuffer());
+    module.start(now());
+    this.module = module;
     this.loading = false;
     this.listener.opened();
     every(ADVANCE_EVERY, () => this.attempt((running) => running.advance(now())));
   }
 
-  /** Runs something on the devices. Their messages are handed on later, as from a server, so that the sender can wait for them. */
-  private attempt(run: (devices: Devices) => void): void {
-    if (this.devices === null) return;
+  /** Runs something in the module. Its messages are handed on later, as from a server, so that the sender can wait for them. */
+  private attempt(run: (module: Module) => void): void {
+    if (this.module === null) return;
     try {
-      run(this.devices);
+      run(this.module);
+      this.line?.write(this.module.wire());
     } catch (error) {
       this.fail(error);
     }
@@ -112,7 +79,7 @@ export class Local implements Transport {
   }
 
   private handOn(): void {
-    for (const data of this.devices?.messages() ?? []) {
+    for (const data of this.module?.messages() ?? []) {
       this.heard = performance.now();
       if (!deliver(data, this.listener)) this.malformed += 1;
     }
@@ -120,7 +87,7 @@ export class Local implements Transport {
 
   private fail(error: unknown): void {
     console.error(error);
-    this.devices = null;
+    this.module = null;
     this.loading = false;
     this.listener.closed(`The demonstration has stopped: ${error instanceof Error ? error.message : error}. Reload this page`, false);
   }

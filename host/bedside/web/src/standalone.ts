@@ -1,6 +1,11 @@
-// The page without a server: its devices run in WebAssembly beside it.
+// The page without a server: its devices run in WebAssembly beside it, or are boards at this computer.
 
 import { run } from "./app";
+import { Boards } from "./boards";
 import { Local } from "./local";
 
-run((listener) => new Local("demo.wasm", listener));
+run((listener) => {
+  const local = new Local("demo.wasm", listener);
+  document.body.append(new Boards(local).element);
+  return local;
+});

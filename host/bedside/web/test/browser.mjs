@@ -41,11 +41,13 @@ export async function launch(args = []) {
 
 /**
  * Opens a page. Errors of its scripts and its policy are collected in `page.errors`, requests to another origin in `page.outside`, and
- * the response with the document is `page.response`. With `held`, the page has the clock of `holdClock`.
+ * the response with the document is `page.response`. With `held`, the page has the clock of `holdClock`; `devices` is a script, with its
+ * argument, that puts devices into the browser.
  */
-export async function open(browser, url, { held = false, ...options } = {}) {
+export async function open(browser, url, { held = false, devices = null, ...options } = {}) {
   const context = await browser.newContext({ ...SCREENS["1280x800"], ...options });
   if (held) await context.addInitScript(holdClock);
+  if (devices) await context.addInitScript(...devices);
   const page = await context.newPage();
   page.setDefaultTimeout(LONG);
   page.errors = [];

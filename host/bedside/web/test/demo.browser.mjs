@@ -1,36 +1,24 @@
 // The page without a server in a real browser, from a plain server of files.
 
 import assert from "node:assert/strict";
-import { readFile } from "node:fs/promises";
-import { createServer } from "node:http";
-import { dirname, extname, join, normalize } from "node:path";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { fileURLToPath } from "node:url";
 import { launch, missing, open, painted, SHOTS, until, WHOLE } from "./browser.mjs";
-
-const FOLDER = process.env.DEMO ?? join(dirname(fileURLToPath(import.meta.url)), "../../../../docs/demo");
-const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css" };
+import { files } from "./files.mjs";
 
 let browser;
 let server;
 before(async () => {
   if (missing) return;
   browser = await launch();
-  // In a folder, as on a site of documents; of the module's type it knows nothing.
-  server = createServer(async (request, response) => {
-    const path = normalize(new URL(request.url, "http://any").pathname);
-    const name = path.endsWith("/") ? `${path}index.html` : path;
-    const contents = name.startsWith("/some/folder/") ? await readFile(join(FOLDER, name.slice("/some/folder".length))).catch(() => null) : null;
-    response.writeHead(contents ? 200 : 404, { "Content-Type": TYPES[extname(name)] ?? "application/octet-stream" }).end(contents ?? "");
-  });
-  await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
+  server = await files();
 });
 after(async () => {
   await browser?.close();
   server?.close();
 });
 
-const start = () => open(browser, `http://127.0.0.1:${server.address().port}/some/folder/`);
+const start = () => open(browser, server.url);
 
 test("nine lungs breathe, waveforms move, and a fault raises an alarm", { skip: missing, timeout: WHOLE }, async () => {
   const page = await start();
@@ -71,7 +59,7 @@ test("settings are applied from the next breath on", { skip: missing, timeout: W
 test("a module that is missing is told on the page", { skip: missing, timeout: WHOLE }, async () => {
   const page = await browser.newPage();
   await page.route("**/demo.wasm", (route) => route.fulfill({ status: 404 }));
-  await page.goto(`http://127.0.0.1:${server.address().port}/some/folder/`);
+  await page.goto(server.url);
   await until(page, () => /demo\.wasm: 404/.test(document.querySelector(".connection").textContent));
   await page.close();
 });

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { test } from "node:test";
-import { Devices } from "../src/local";
+import { Module } from "../src/module";
 
 const DEMO = process.env.DEMO ?? "../../../docs/demo";
 const SAMPLES = 1000;
@@ -30,7 +30,7 @@ function pairs(data: ArrayBuffer): Uint8Array[] {
 }
 
 test("the samples are those of the same devices on the host, bit for bit", async () => {
-  const devices = await Devices.load(new Uint8Array(await readFile(`${DEMO}/demo.wasm`)));
+  const devices = await Module.load(new Uint8Array(await readFile(`${DEMO}/demo.wasm`)));
   let now = 1.7e12;
   devices.start(now);
   const found = new Map<number, Uint8Array[]>();

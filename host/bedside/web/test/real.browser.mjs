@@ -2,17 +2,14 @@
 // QEMU, whose images are in the environment's IMAGES.
 
 import assert from "node:assert/strict";
-import { spawn } from "node:child_process";
 import { mkdtemp, readFile, rm } from "node:fs/promises";
 import { createServer } from "node:http";
 import { networkInterfaces, tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { eventually, launch, missing, open, painted, SHOTS, skips, sleep, until, WHOLE } from "./browser.mjs";
+import { launch, open, SHOTS, sleep, until, WHOLE } from "./browser.mjs";
+import { board, breathes, run, skip, skipBoard, startVentilation } from "./trainer.mjs";
 
-const { TRAINER, IMAGES } = process.env;
-const skip = missing || skips(TRAINER ? "" : "no TRAINER: name the trainer binary");
-const skipBoard = skip || skips(IMAGES ? "" : "no IMAGES: name the folder of the firmware's images");
 /** The policy that the server must send, from its source. */
 const POLICY = /CONTENT_SECURITY_POLICY: &str = "(.*)";/.exec(await readFile(new URL("../../src/guard.rs", import.meta.url), "utf8"))[1];
 
@@ -28,42 +25,10 @@ after(async () => {
   if (folder) await rm(folder, { recursive: true });
 });
 
-/** Runs the trainer until a line on its output matches; what it matched, and a function that kills the process. */
-async function run(args, pattern) {
-  const child = spawn(TRAINER, args, { stdio: ["ignore", "pipe", "pipe"] });
-  const ended = new Promise((resolve) => child.on("exit", resolve));
-  let [text, said] = ["", ""];
-  child.stderr.on("data", (data) => { said = (said + data).slice(-2000); });
-  const kill = () => { child.kill("SIGKILL"); return ended; };
-  const found = await Promise.race([
-    ended,
-    new Promise((resolve) => child.stdout.on("data", (data) => {
-      text += data;
-      const match = pattern.exec(text);
-      if (match) resolve(match);
-    })),
-  ]);
-  if (!Array.isArray(found)) throw new Error(`trainer ${args.join(" ")} ended with ${found}: ${said}`);
-  return { found, kill };
-}
-
 /** A server on a free port or on this one, of this computer alone or of the network with this address. */
 async function serve(args, port = 0, host = "127.0.0.1") {
   const { found: [url, own], kill } = await run(["serve", ...args, "--records", folder, "--listen", `${host}:${port}`], /http:\/\/[\d.]+:(\d+)\S*(?=\n)/);
   return { url, port: Number(own), kill };
-}
-
-/** The real image in QEMU. A port of a board that has just died may be taken for some time. */
-async function board(port = 0) {
-  let started = null;
-  await eventually(async () => {
-    started = await run(["qemu", "--listen", String(port), "--images", IMAGES], /tcp:127\.0\.0\.1:(\d+)\n/).catch((error) => {
-      if (port === 0) throw error;
-      return null;
-    });
-    return started;
-  }, "the board starts");
-  return { port: Number(started.found[1]), kill: started.kill };
 }
 
 /** Runs a test on a page of a server; scripts must not fail, and nothing outside may be asked for. */
@@ -80,20 +45,6 @@ async function scene(args, run_, host = undefined) {
     await server.kill();
   }
 }
-
-async function startVentilation(page) {
-  await page.getByRole("tab", { name: "Settings" }).click();
-  const take = page.getByRole("button", { name: "Take control" });
-  if (await take.isVisible()) await take.click();
-  await page.getByRole("button", { name: "Start ventilation" }).click();
-  await page.locator("dialog .agree").click();
-  await page.getByRole("button", { name: "Stop ventilation" }).waitFor();
-}
-
-const breathes = async (page) => {
-  await until(page, () => window.eupnea.devices[0].breath?.number > 0 && window.eupnea.devices[0].ring.end > 4000);
-  for (const strip of ["pressure", "flow", "volume", "valves"]) assert.ok((await painted(page, strip)) > 300, strip);
-};
 
 /** Reads the device's flight recorder, which holds the running ventilation. */
 async function readRecorder(page) {
