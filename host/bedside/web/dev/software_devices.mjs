@@ -93,27 +93,41 @@ export function usb({ layout, lives = Number.POSITIVE_INFINITY, locked = null })
   Object.defineProperty(navigator, "usb", { value: { requestDevice }, configurable: true });
 }
 
-/** A port at navigator.serial, whose bytes the test's server carries to a board. */
+/**
+ * A port at navigator.serial, whose bytes the test's server carries to a board. As in a browser, an error on the line ends the stream, and
+ * the port goes on with a new one; `window.damage` makes one.
+ */
 export function serial() {
   let socket = null;
+  let control = null;
+  const stream = () => new ReadableStream({ start(own) { control = own; } });
   const port = {
     readable: null,
     writable: null,
-    async open({ baudRate }) {
-      window.baudRate = baudRate;
+    async open({ baudRate, bufferSize }) {
+      window.serialOptions = { baudRate, bufferSize };
       socket = new WebSocket(`ws://${location.host}/serial`);
       socket.binaryType = "arraybuffer";
       await new Promise((resolve, reject) => { [socket.onopen, socket.onerror] = [resolve, reject]; });
-      port.readable = new ReadableStream({
-        start(control) {
-          socket.onmessage = ({ data }) => control.enqueue(new Uint8Array(data));
-          socket.onclose = () => control.error(new DOMException("The device has been lost.", "NetworkError"));
-        },
-        cancel() { socket.onmessage = null; socket.onclose = null; },
-      });
+      port.readable = stream();
       port.writable = new WritableStream({ write(bytes) { socket.send(bytes); } });
+      socket.onmessage = ({ data }) => { if (port.readable) control.enqueue(new Uint8Array(data)); };
+      socket.onclose = () => {
+        const ended = control;
+        port.readable = null;
+        ended.error(new DOMException("The device has been lost.", "NetworkError"));
+      };
     },
-    async close() { socket.close(); },
+    async close() {
+      socket.onclose = null;
+      port.readable = null;
+      socket.close();
+    },
+  };
+  window.damage = () => {
+    const ended = control;
+    port.readable = stream();
+    ended.error(new DOMException("Framing error", "FramingError"));
   };
   Object.defineProperty(navigator, "serial", { value: { requestPort: async () => port }, configurable: true });
 }

@@ -1,24 +1,23 @@
 // A board's port by Web Serial: bytes both ways, and the end of the line.
 
-/** Speed of the link, baud. */
-const BAUD = 1_000_000;
+/** Speed of the link, baud, and room for a second of telemetry while the page is busy: the default is 255 bytes. */
+const OPTIONS = { baudRate: 1_000_000, bufferSize: 65_536 };
 const UNSUPPORTED = "This browser has no Web Serial: use Chromium, Chrome or Edge on a computer, or run `trainer serve --port PORT --steer`.";
 
 /** What is used of Web Serial, which the types of TypeScript lack. */
 interface Port {
   readonly readable: ReadableStream<Uint8Array> | null;
   readonly writable: WritableStream<Uint8Array> | null;
-  open(options: { baudRate: number }): Promise<void>;
+  open(options: typeof OPTIONS): Promise<void>;
   close(): Promise<void>;
 }
 
 export class SerialLine {
-  private readonly reader: ReadableStreamDefaultReader<Uint8Array>;
+  private reader: ReadableStreamDefaultReader<Uint8Array> | null = null;
   private readonly writer: WritableStreamDefaultWriter<Uint8Array>;
   private closing = false;
 
-  private constructor(private readonly port: Port, readable: ReadableStream<Uint8Array>, writable: WritableStream<Uint8Array>) {
-    this.reader = readable.getReader();
+  private constructor(private readonly port: Port, writable: WritableStream<Uint8Array>) {
     this.writer = writable.getWriter();
   }
 
@@ -27,19 +26,27 @@ export class SerialLine {
     const { serial } = navigator as unknown as { serial?: { requestPort(): Promise<Port> } };
     if (!serial) throw new Error(UNSUPPORTED);
     const port = await serial.requestPort().catch(() => { throw new Error("No port was chosen."); });
-    await port.open({ baudRate: BAUD }).catch(() => { throw new Error("The port cannot be opened: close the program that uses it, and check your rights on it."); });
-    if (!port.readable || !port.writable) throw new Error("The port cannot be opened: plug the board in again.");
-    return new SerialLine(port, port.readable, port.writable);
+    await port.open(OPTIONS).catch(() => { throw new Error("The port cannot be opened: close the program that uses it, and check your rights on it."); });
+    if (!port.writable) throw new Error("The port cannot be opened: plug the board in again.");
+    return new SerialLine(port, port.writable);
   }
 
   /** Hands on what comes, until the line ends; `gone` if it ended by itself. */
   async listen(take: (bytes: Uint8Array) => void, gone: () => void): Promise<void> {
-    try {
-      for (let next = await this.reader.read(); !next.done; next = await this.reader.read()) take(next.value);
-    } catch {
-      // The end of the line, as below.
-    }
+    // After a damaged byte the port goes on with a new stream; without one it is gone.
+    while (this.port.readable !== null && !this.closing) await this.read(this.port.readable.getReader(), take);
     if (!this.closing) gone();
+  }
+
+  /** Reads a stream to its end. */
+  private async read(reader: ReadableStreamDefaultReader<Uint8Array>, take: (bytes: Uint8Array) => void): Promise<void> {
+    this.reader = reader;
+    try {
+      for (let next = await reader.read(); !next.done; next = await reader.read()) take(next.value);
+    } catch {
+      // Whether the port is gone, its next stream tells.
+    }
+    reader.releaseLock();
   }
 
   /** A line that ends meanwhile is noticed by its reader. */
@@ -50,8 +57,7 @@ export class SerialLine {
   async close(): Promise<void> {
     this.closing = true;
     await this.writer.close().catch(() => {});
-    await this.reader.cancel().catch(() => {});
-    this.reader.releaseLock();
+    await this.reader?.cancel().catch(() => {});
     await this.port.close().catch(() => {});
   }
 }

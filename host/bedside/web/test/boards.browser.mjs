@@ -136,7 +136,7 @@ test("the real image in QEMU by Web Serial: start, waveforms, a setting, unplugg
     await until(page, () => window.eupnea?.devices.length === 18);
     await page.getByRole("button", { name: "Connect a board" }).click();
     await until(page, () => window.eupnea.devices.length === 1 && window.eupnea.devices[0].state?.connected);
-    assert.deepEqual(await page.evaluate(() => [window.baudRate, window.eupnea.devices[0].info.kind]), [1_000_000, "hil"]);
+    assert.deepEqual(await page.evaluate(() => [window.serialOptions.baudRate, window.eupnea.devices[0].info.kind]), [1_000_000, "hil"]);
     await startVentilation(page);
     await breathes(page);
     await page.locator("#setting-pip").fill("22");
@@ -144,6 +144,10 @@ test("the real image in QEMU by Web Serial: start, waveforms, a setting, unplugg
     if (await page.locator("dialog .agree").isVisible()) await page.locator("dialog .agree").click();
     await until(page, () => window.eupnea.devices[0].state.settings.pip === 22);
     await page.screenshot({ path: join(SHOTS, "web-serial.png") });
+    const tick = await page.evaluate(() => window.eupnea.devices[0].ring.newest);
+    await page.evaluate(() => window.damage());
+    await until(page, (before) => window.eupnea.devices[0].ring.newest > before + 2000, tick);
+    assert.equal(await page.locator(".boards .note").textContent(), "", "a damaged byte is no end of the line");
     port.unplug();
     await says(page, ".boards .note", "The board was unplugged. Plug it in and connect it again.");
     await until(page, () => window.eupnea.devices[0].state.connected === false && !window.eupnea.devices[0].yours);
