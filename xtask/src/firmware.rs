@@ -29,8 +29,6 @@ pub struct Board {
     features: &'static [&'static str],
     /// Memory regions.
     pub map: &'static str,
-    /// The chip, as probe-rs names it.
-    pub chip: &'static str,
     /// What the image is.
     pub about: &'static str,
 }
@@ -42,7 +40,6 @@ pub const BOARDS: [Board; 4] = [
         file: "board",
         features: &[],
         map: "firmware/memory/stm32f405.x",
-        chip: "STM32F405RG",
         about: "ventilator with sensors and valves",
     },
     Board {
@@ -50,7 +47,6 @@ pub const BOARDS: [Board; 4] = [
         file: "desk",
         features: &["--features", "desk"],
         map: "firmware/memory/stm32f405-desk.x",
-        chip: "STM32F405RG",
         about: "ventilator that simulates lung, sensors and valves",
     },
     Board {
@@ -58,7 +54,6 @@ pub const BOARDS: [Board; 4] = [
         file: "stm32f446",
         features: &["--no-default-features", "--features", "stm32f446"],
         map: "firmware/memory/stm32f446.x",
-        chip: "STM32F446RETx",
         about: "ventilator with sensors and valves",
     },
     Board {
@@ -66,7 +61,6 @@ pub const BOARDS: [Board; 4] = [
         file: "stm32f446-desk",
         features: &["--no-default-features", "--features", "stm32f446,desk"],
         map: "firmware/memory/stm32f446-desk.x",
-        chip: "STM32F446RETx",
         about: "ventilator that simulates lung, sensors and valves, for a Nucleo board without anything else",
     },
 ];

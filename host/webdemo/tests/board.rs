@@ -55,7 +55,9 @@ impl Rig {
         while let Some(message) = self.board.take() {
             match message {
                 Message::Text(text) => self.texts.push(serde_json::from_str(&text).unwrap()),
-                Message::Samples(bytes) => self.samples += usize::from(u16::from_le_bytes([bytes[2], bytes[3]])),
+                Message::Samples(bytes) => {
+                    self.samples += usize::from(u16::from_le_bytes([bytes[2], bytes[3]]))
+                }
             }
         }
     }
@@ -70,7 +72,8 @@ impl Rig {
         self.send(&message);
         for _ in 0..1000 {
             self.run(20);
-            if let Some(answer) = self.texts.iter().find(|text| text["type"] == "answer" && text["id"] == id) {
+            if let Some(answer) = self.texts.iter().find(|text| text["type"] == "answer" && text["id"] == id)
+            {
                 return answer.clone();
             }
         }
@@ -120,7 +123,10 @@ fn a_board_is_only_read_until_the_page_takes_control_and_then_ventilates() {
     assert_eq!(hello["devices"][0]["kind"], "simulated", "as the device has said");
     assert_eq!(rig.newest("state")["lease"], Value::Null, "reading takes no lease");
     let refused = rig.ask(9, json!({"type": "start"}));
-    assert_eq!((&refused["ok"], &refused["text"]), (&false.into(), &"take control of the device first".into()));
+    assert_eq!(
+        (&refused["ok"], &refused["text"]),
+        (&false.into(), &"take control of the device first".into())
+    );
     rig.start();
     rig.until(|state| state["ventilating"] == true && state["lease"] == "this server");
     rig.run(5000);

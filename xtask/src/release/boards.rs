@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use firmware_file::{Content, Firmware, KeyPair, Part, ReleaseKey, Seed, dfuse};
+use firmware_file::{Content, Firmware, KeyPair, Part, ReleaseKey, Seed, chip_of, dfuse};
 use ihex::Record;
 use object::elf;
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
@@ -89,7 +89,7 @@ fn file(release: &Release<'_>, board: &Board, weights: &[u8]) -> Result<Vec<u8>>
         version: VERSION.to_owned(),
         revision: release.revision.clone(),
         board: board.name.to_owned(),
-        chip: board.chip.to_owned(),
+        chip: chip_of(board.name).context("no chip is known of this board")?.to_owned(),
         image: board.about.to_owned(),
         // Both chips have it in ROM.
         usb_dfu: true,

@@ -126,7 +126,9 @@ fn compiles_for_macos(shell: &Shell) -> Result<()> {
     let target = "aarch64-apple-darwin";
     cmd!(shell, "bash .ci/setup/target {target}").quiet().run()?;
     let _tools = programs::tools(shell)?;
-    cmd!(shell, "cargo-zigbuild check --quiet --target {target} -p host -p lab -p fmu_library").quiet().run()?;
+    cmd!(shell, "cargo-zigbuild check --quiet --target {target} -p host -p lab -p fmu_library")
+        .quiet()
+        .run()?;
     println!("macOS: compiles");
     Ok(())
 }

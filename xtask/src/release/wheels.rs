@@ -43,8 +43,10 @@ pub fn for_tests(shell: &Shell, python: &Path) -> Result<PathBuf> {
     for file in Target::Glibc(Processor::X86).files() {
         let program = folder.join(file);
         // Cargo puts what a test depends on into a folder of its own.
-        let places = [file.to_string(), format!("deps/{file}")].map(|place| trainer.program().with_file_name(place));
-        let built = places.iter().find(|place| place.exists()).with_context(|| format!("{file} is not built"))?;
+        let places =
+            [file.to_string(), format!("deps/{file}")].map(|place| trainer.program().with_file_name(place));
+        let built =
+            places.iter().find(|place| place.exists()).with_context(|| format!("{file} is not built"))?;
         shell.copy_file(built, &program)?;
         cmd!(shell, "strip {program}").quiet().run()?;
         programs.push(program);
