@@ -5,12 +5,12 @@ use std::time::{Duration, Instant};
 
 use super::support::{Place, text};
 
-/// Commands at a size that takes seconds.
+/// Commands with a few more units of work than shards.
 const COMMANDS: [&str; 4] = [
     "tune-pid --bench R20C20 --bench R5C50 --bench R50C10 --grid coarse --breaths 1 --pips 15",
-    "torture --breaths 600 --seed 5",
-    "endure --patients 9 --hours 0.02 --seed 2",
-    "robust --family short.toml --plants 20 --breaths 6 --subset 1 --gains 2,80,0.1 --seed 4",
+    "torture --breaths 200 --seed 5",
+    "endure --patients 9 --hours 0.01 --seed 2",
+    "robust --family short.toml --plants 9 --breaths 3 --subset 1 --gains 2,80,0.1 --seed 4",
 ];
 
 /// The JSON of a command, whatever its verdict.

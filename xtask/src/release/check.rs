@@ -3,26 +3,19 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 use xshell::{PushEnv, Shell, cmd};
 
 use super::programs::{self, Processor, Target};
-use super::wheels::try_programs;
+use super::wheels::{JOB, try_programs};
 use super::{Part, SIGNATURE, SUMS, VERSION};
 use crate::firmware::{BOARDS, cargo_folder};
 use crate::package::install;
 
 /// The C library of arm64, for programs that are linked to it.
 const ARM_LIBRARIES: &str = "/usr/aarch64-linux-gnu";
-/// A whole job, a minute under emulation: recording, simulator, controller, weights image, breaths.
-const JOB: [&str; 5] = [
-    "collect --breaths 6 --seed 3 --out recording.parquet",
-    "fit recording.parquet --out simulator.safetensors --epochs 2",
-    "train --out run --simulator simulator.safetensors --gains 6.5,265,0.13 --iterations 20",
-    "export run/controller.safetensors --out weights.bin",
-    "evaluate --controller run/controller.safetensors --bench R20C20 --pips 20 --breaths 1 --json breaths.json",
-];
 /// Files of the job that hold results alone, and no origin.
 const RESULTS: [&str; 4] =
     ["simulator.safetensors", "run/controller.safetensors", "weights.bin", "breaths.json"];
@@ -104,8 +97,15 @@ fn wheels(shell: &Shell, folder: &Path, place: &Path) -> Result<[Machine; 2]> {
     let environment = place.join("environment");
     cmd!(shell, "python3 -m venv {environment}").quiet().run()?;
     let python = environment.join("bin/python");
+    let begun = Instant::now();
     install(shell, &python, &wheel(Processor::X86), "")?;
-    try_programs(shell, &python, &["demo", "--out", "demo"])?;
+    let demo = place.join("demo");
+    cmd!(shell, "{environment}/bin/trainer demo --out {demo}").quiet().run()?;
+    for file in ["report.html", "one-inspiration.svg"] {
+        ensure!(demo.join(file).exists(), "the demo has written no {file}");
+    }
+    println!("wheel: from nothing to the table of the demo in {:.0} s", begun.elapsed().as_secs_f64());
+    try_programs(shell, &python)?;
     let foreign = place.join("wheel-arm64");
     let packed = wheel(Processor::Arm);
     cmd!(shell, "{python} -m zipfile -e {packed} {foreign}").quiet().run()?;
