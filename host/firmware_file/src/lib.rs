@@ -25,7 +25,7 @@ pub use error::PackageError;
 pub use key::{KeyError, ReleaseKey, seal, signer};
 pub use manifest::{Content, Firmware, Manifest, Part, Stamp, chip_of};
 pub use read::{Package, read};
-pub use write::write;
+pub use write::{sha256, write};
 
 /// Version of the release file's format.
 pub const FORMAT: u32 = 1;

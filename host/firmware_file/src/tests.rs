@@ -78,7 +78,7 @@ fn refusal(change: impl FnOnce(&mut BTreeMap<String, Vec<u8>>)) -> PackageError 
 fn refusal_of_manifest(change: impl FnOnce(&str) -> String) -> PackageError {
     refusal(|entries| {
         let text = change(std::str::from_utf8(&entries[MANIFEST]).unwrap());
-        entries.insert(SIGNATURE.into(), key::seal(text.as_bytes(), &pair()).into());
+        entries.insert(SIGNATURE.into(), seal(text.as_bytes(), &pair()).into());
         entries.insert(MANIFEST.into(), text.into());
     })
 }
@@ -118,7 +118,7 @@ fn another_signature_is_refused() {
     let trusted = ReleaseKey::of(&other);
     assert_eq!(read(&release(), &trusted), Err(PackageError::OtherKey { by: key(), trusted }));
     let forged = refusal(|entries| {
-        let seal = key::seal(&entries[MANIFEST], &other);
+        let seal = seal(&entries[MANIFEST], &other);
         entries.insert(SIGNATURE.into(), seal.replace(&trusted.to_string(), &key().to_string()).into());
     });
     assert_eq!(forged, PackageError::ManifestDamaged);

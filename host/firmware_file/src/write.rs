@@ -51,7 +51,12 @@ fn check(files: &BTreeMap<String, Vec<u8>>) -> Result<(), PackageError> {
 
 /// Length and checksum of a file.
 pub(crate) fn stamp(content: &[u8]) -> Stamp {
-    Stamp { bytes: content.len() as u64, sha256: hex(&Sha256::digest(content)) }
+    Stamp { bytes: content.len() as u64, sha256: sha256(content) }
+}
+
+/// SHA-256 in hexadecimal.
+pub fn sha256(content: &[u8]) -> String {
+    hex(&Sha256::digest(content))
 }
 
 /// A ZIP archive that depends on its entries alone, not on time and machine.

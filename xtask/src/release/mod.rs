@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use sha2::{Digest, Sha256};
+use firmware_file::sha256;
 use xshell::{PushEnv, Shell, cmd};
 
 use crate::firmware::cargo_folder;
@@ -72,6 +72,19 @@ enum Part {
     Lists,
 }
 
+impl Part {
+    fn build(self, release: &Release<'_>) -> Result<()> {
+        match self {
+            Self::Wheels => wheels::build(release),
+            Self::Archives => archives::linux(release),
+            Self::Packages => debian::build(release),
+            Self::Windows => archives::windows(release),
+            Self::Firmware => boards::build(release),
+            Self::Lists => lists(release),
+        }
+    }
+}
+
 /// What all parts need.
 struct Release<'a> {
     shell: &'a Shell,
@@ -103,17 +116,9 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
         folder,
     };
     let _variables = release.variables();
-    let builders: [(Part, fn(&Release<'_>) -> Result<()>); 6] = [
-        (Part::Wheels, wheels::build),
-        (Part::Archives, archives::linux),
-        (Part::Packages, debian::build),
-        (Part::Windows, archives::windows),
-        (Part::Firmware, boards::build),
-        (Part::Lists, lists),
-    ];
-    for (part, build) in builders.into_iter().filter(|(part, _)| chosen(*part)) {
+    for part in Part::value_variants().iter().filter(|part| chosen(**part)) {
         println!("release: {part:?}");
-        build(&release).with_context(|| format!("cannot build the {part:?} of the release"))?;
+        part.build(&release).with_context(|| format!("cannot build the {part:?} of the release"))?;
     }
     checksums(&release)
 }
@@ -176,12 +181,10 @@ fn files_of(shell: &Shell, folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
 fn checksums(release: &Release<'_>) -> Result<()> {
     let mut files = files_of(release.shell, &release.folder)?;
     files.retain(|name, _| name != SUMS && name != SIGNATURE);
-    let mut sums = String::new();
-    for (name, path) in &files {
-        let digest = Sha256::digest(release.shell.read_binary_file(path)?);
-        let hexadecimal: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
-        sums += &format!("{hexadecimal}  {name}\n");
-    }
+    let sum = |(name, path): (&String, &PathBuf)| {
+        Ok(format!("{}  {name}\n", sha256(&release.shell.read_binary_file(path)?)))
+    };
+    let sums = files.iter().map(sum).collect::<Result<String>>()?;
     print!("{sums}");
     release.shell.write_file(release.folder.join(SIGNATURE), release.key.sign(sums.as_bytes()))?;
     release.shell.write_file(release.folder.join(SUMS), sums)?;
