@@ -11,6 +11,7 @@ mod completions;
 mod device;
 mod export;
 mod farm;
+mod flash;
 mod formats;
 mod help;
 mod interrupted;
