@@ -88,13 +88,14 @@ pub struct Board {
 }
 
 impl Board {
-    /// A device of which nothing is known, for a port that was just opened; the token is a random number.
-    pub fn new(token: u32) -> Self {
+    /// A device of which nothing is known, for a port that was just opened. The token is the page's: if it has lost the line, the lease
+    /// is still its own. The first sequence number is random each time.
+    pub fn new(token: u32, first: u16) -> Self {
         let info =
             DeviceInfo { id: DEVICE, name: "board".into(), kind: Kind::Board, period_us: DEFAULT_PERIOD_US };
         let greeting = Message::text(&hello(false, vec![info.clone()]));
         Self {
-            line: Line::new(token),
+            line: Line::new(token, first),
             watched: Watched::new(DEVICE, DEFAULT_PERIOD_US),
             wheel: Wheel::default(),
             news: Vec::new(),

@@ -118,10 +118,10 @@ pub extern "C" fn next() -> u32 {
     })
 }
 
-/// Shows the device of a port that was just opened; the token is a random number.
+/// Shows the device of a port that was just opened: with the page's random token, and a first sequence number that is random each time.
 #[unsafe(no_mangle)]
-pub extern "C" fn connect(token: u32) {
-    with(|page| page.board = Some(Board::new(token)));
+pub extern "C" fn connect(token: u32, first: u32) {
+    with(|page| page.board = Some(Board::new(token, first as u16)));
 }
 
 /// Takes the input as bytes of the port, at a time in ms since 1970.

@@ -16,10 +16,11 @@ pub struct Line {
 }
 
 impl Line {
-    /// A line on which nothing was sent. The token must differ from those of the device's other hosts.
-    pub fn new(token: u32) -> Self {
+    /// A line on which nothing was sent. The token must differ from those of the device's other hosts; of a host that was there before,
+    /// the device must not have answered the `sequence` after this one last.
+    pub fn new(token: u32, sequence: u16) -> Self {
         let (losses, counters) = (LossCounter::default(), LineCounters::default());
-        Self { decoder: FrameDecoder::new(), losses, counters, sequence: 0, token }
+        Self { decoder: FrameDecoder::new(), losses, counters, sequence, token }
     }
 
     /// The frame of a request, and its sequence number; none if the request is longer than a frame.

@@ -80,7 +80,7 @@ impl Patient {
             wheel: Wheel::default(),
             out: Vec::new(),
             chip,
-            line: Line::new(HOST),
+            line: Line::new(HOST, 0),
             // Devices of one page are not all polled in the same instant.
             poll_in: 1 + u32::from(number) * 50 % POLL_TICKS,
         };

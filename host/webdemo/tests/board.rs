@@ -29,7 +29,7 @@ impl Rig {
         let memory: &'static RecorderMemory = Box::leak(Box::new(RecorderMemory::new()));
         let mut chip = Chip::new(BenchPlant::new(&BenchConfig::default()).unwrap(), memory);
         chip.read_all_sensors();
-        let board = Board::new(42);
+        let board = Board::new(42, 0);
         Self { chip, board, now_ms: 1_700_000_000_000, texts: vec![], samples: 0, joined: true }
     }
 
@@ -170,6 +170,19 @@ fn a_silent_board_is_lost_and_returns_without_being_steered() {
 }
 
 #[test]
+fn a_page_that_plugs_its_board_in_again_still_has_its_lease() {
+    let mut rig = Rig::new();
+    rig.start();
+    rig.until(|state| state["lease"] == "this server");
+    rig.board.unplugged(rig.now_ms);
+    rig.board = Board::new(42, 500);
+    rig.send(&json!({"type": "take", "device": 0}));
+    let stopped = rig.ask(7, json!({"type": "stop"}));
+    assert_eq!(stopped["ok"], true, "{stopped}");
+    rig.until(|state| state["ventilating"] == false);
+}
+
+#[test]
 fn an_unplugged_board_is_told_at_once_and_its_requests_are_refused() {
     let mut rig = Rig::new();
     rig.start();
@@ -206,7 +219,7 @@ fn leaving_gives_the_lease_back_and_leaves_the_ventilation() {
     for byte in rig.board.leave() {
         rig.chip.hear(byte);
     }
-    rig.board = Board::new(43);
+    rig.board = Board::new(43, 900);
     rig.until(|state| state["connected"] == true && state["ventilating"] == true && state["lease"].is_null());
 }
 

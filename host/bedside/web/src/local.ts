@@ -8,12 +8,15 @@ import { deliver, type Listener, type Transport } from "./transport";
 /** Interval at which the devices go on, ms. */
 const ADVANCE_EVERY = 20;
 
+const random = () => crypto.getRandomValues(new Uint32Array(1))[0] ?? 0;
 const now = () => performance.timeOrigin + performance.now();
 
 export class Local implements Transport {
   /** The running module; null before it is loaded and after it has stopped. */
   module: Module | null = null;
   private line: SerialLine | null = null;
+  /** Identifies this page to boards, also after a board was unplugged. */
+  private readonly token = random();
   heard = performance.now();
   malformed = 0;
   readonly waits = 0;
@@ -39,7 +42,7 @@ export class Local implements Transport {
   /** Shows the board on a line instead of the demonstration; `gone` when the line ends by itself. */
   connect(line: SerialLine, gone: () => void): void {
     this.line = line;
-    this.attempt((module) => module.connect(crypto.getRandomValues(new Uint32Array(1))[0] ?? 0));
+    this.attempt((module) => module.connect(this.token, random()));
     line.listen((bytes) => this.attempt((module) => module.hear(bytes, now())), () => {
       this.line = null;
       this.attempt((module) => module.unplugged(now()));

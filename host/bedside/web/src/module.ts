@@ -18,7 +18,7 @@ interface Exports {
   next(): number;
   message(): number;
   message_bytes(): number;
-  connect(token: number): void;
+  connect(token: number, first: number): void;
   hear(now: number): void;
   wire(): void;
   unplugged(now: number): void;
@@ -73,8 +73,8 @@ export class Module {
   }
 
   /** Shows the board of a port that was just opened. */
-  connect(token: number): void {
-    this.exports.connect(token);
+  connect(token: number, first: number): void {
+    this.exports.connect(token, first);
   }
 
   /** Takes bytes of its port. */
