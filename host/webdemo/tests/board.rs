@@ -56,7 +56,7 @@ impl Rig {
             match message {
                 Message::Text(text) => self.texts.push(serde_json::from_str(&text).unwrap()),
                 Message::Samples(bytes) => {
-                    self.samples += usize::from(u16::from_le_bytes([bytes[2], bytes[3]]))
+                    self.samples += usize::from(u16::from_le_bytes([bytes[2], bytes[3]]));
                 }
             }
         }
