@@ -217,6 +217,15 @@ impl<F: NorFlash> Slots<F> {
     }
 }
 
+/// Content of both slots after the first store: what a programmer writes to a chip together with its program.
+pub fn after_first_store(image: &[u8; IMAGE_BYTES]) -> [[u8; SLOT_BYTES as usize]; 2] {
+    let mut slot = [ERASED; SLOT_BYTES as usize];
+    slot[..IMAGE_BYTES].copy_from_slice(image);
+    slot[RECORD as usize..][..UNIT].copy_from_slice(&flash::record([0]));
+    slot[COMMIT as usize..][..4].copy_from_slice(&COMMITTED.to_le_bytes());
+    [slot, [ERASED; SLOT_BYTES as usize]]
+}
+
 /// Id of an image with the right checksum: the checksum itself.
 fn identity(image: &[u8; IMAGE_BYTES]) -> Option<u32> {
     verified(image)?;

@@ -8,6 +8,8 @@ use firmware_file::{Content, Firmware, KeyPair, Part, ReleaseKey, Seed, chip_of,
 use ihex::Record;
 use object::elf;
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
+use shared::weights::IMAGE_BYTES;
+use shared::weights::slots::after_first_store;
 
 use super::{Release, VERSION, archives};
 use crate::firmware::{self, BOARDS, Board, Images, without_key};
@@ -26,6 +28,7 @@ const BANK: u32 = 1 << 16;
 /// What is written to flash without a gap.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Block {
+    content: Content,
     address: u32,
     data: Vec<u8>,
 }
@@ -41,8 +44,9 @@ pub fn build(release: &Release<'_>) -> Result<()> {
     let _variables = without_key(release.shell);
     let _flags = release.shell.push_env("RUSTFLAGS", remapped(release.shell)?);
     let weights = release.shell.read_binary_file(WEIGHTS)?;
+    let weights = weights.as_array().with_context(|| format!("{WEIGHTS} is no weights image"))?;
     for board in &BOARDS {
-        let file = file(release, board, &weights).with_context(|| board.name.to_owned())?;
+        let file = file(release, board, weights).with_context(|| board.name.to_owned())?;
         let path = release.folder.join(format!("eupnea-{VERSION}-{}.zip", board.name));
         release.shell.write_file(path, file)?;
     }
@@ -58,33 +62,25 @@ fn emulated(release: &Release<'_>) -> Result<()> {
 }
 
 /// A board's release file.
-fn file(release: &Release<'_>, board: &Board, weights: &[u8]) -> Result<Vec<u8>> {
+fn file(release: &Release<'_>, board: &Board, weights: &[u8; IMAGE_BYTES]) -> Result<Vec<u8>> {
     let image = release.shell.read_binary_file(board.build(release.shell)?)?;
     let regions = memory::regions(&release.shell.read_file(board.map)?)?;
-    let [slot, other] = ["SLOT_A", "SLOT_B"].map(|name| memory::find(&regions, name));
-    let (slot, other) = (slot?, other?);
-    ensure!(weights.len() as u64 <= slot.length, "the weights do not fit into a slot");
-    let program = blocks(&image, &[slot, other])?;
+    let [a, b] = ["SLOT_A", "SLOT_B"].map(|name| memory::find(&regions, name));
+    let slots = [a?, b?];
+    let mut blocks = program(&image, &slots)?;
+    // Both slots, so that no weights of an earlier program run with this one.
+    for (slot, data) in slots.iter().zip(after_first_store(weights)) {
+        ensure!(data.len() as u64 <= slot.length, "the weights do not fit into a slot");
+        blocks.push(Block { content: Content::Weights, address: slot.origin as u32, data: data.to_vec() });
+    }
+    blocks.sort_by_key(|block| block.address);
     let name = |block: &Block| format!("{}-{:08x}.bin", board.name, block.address);
-    let mut files: BTreeMap<String, Vec<u8>> =
-        program.iter().map(|block| (name(block), block.data.clone())).collect();
-    let part = |content, file: String, block: &Block| Part {
-        content,
-        file,
+    let part = |block: &Block| Part {
+        content: block.content,
+        file: name(block),
         address: block.address,
         bytes: block.data.len() as u32,
     };
-    let mut parts: Vec<Part> =
-        program.iter().map(|block| part(Content::Program, name(block), block)).collect();
-    let weights = Block { address: slot.origin as u32, data: weights.to_vec() };
-    parts.push(part(Content::Weights, "weights.bin".into(), &weights));
-    files.insert("weights.bin".into(), weights.data.clone());
-    let mut blocks = program;
-    blocks.push(weights);
-    blocks.sort_by_key(|block| block.address);
-    files.insert(format!("{}.hex", board.name), hex(&blocks)?.into_bytes());
-    files.insert(format!("{}.dfu", board.name), dfuse::encode(&elements(&blocks))?);
-    files.insert(format!("{}.elf", board.name), image);
     let firmware = Firmware {
         version: VERSION.to_owned(),
         revision: release.revision.clone(),
@@ -93,8 +89,13 @@ fn file(release: &Release<'_>, board: &Board, weights: &[u8]) -> Result<Vec<u8>>
         image: board.about.to_owned(),
         // Both chips have it in ROM.
         usb_dfu: true,
-        parts,
+        parts: blocks.iter().map(part).collect(),
     };
+    let mut files: BTreeMap<String, Vec<u8>> =
+        blocks.iter().map(|block| (name(block), block.data.clone())).collect();
+    files.insert(format!("{}.hex", board.name), hex(&blocks)?.into_bytes());
+    files.insert(format!("{}.dfu", board.name), dfuse::encode(&elements(&blocks))?);
+    files.insert(format!("{}.elf", board.name), image);
     Ok(firmware_file::write(&firmware, &files, &release.key.0)?)
 }
 
@@ -104,14 +105,15 @@ fn elements(blocks: &[Block]) -> Vec<dfuse::Element> {
 }
 
 /// The program in flash: one block, or two around the weights slots. Smaller gaps are erased flash, as on the chip.
-fn blocks(image: &[u8], slots: &[&Region; 2]) -> Result<Vec<Block>> {
+fn program(image: &[u8], slots: &[&Region; 2]) -> Result<Vec<Block>> {
     let elf: ElfFile32 = ElfFile32::parse(image).context("the image is not a 32-bit ELF file")?;
     let endian = elf.endian();
     let mut segments = Vec::new();
     for header in elf.elf_header().program_headers(endian, image)? {
         if header.p_type(endian) == elf::PT_LOAD && header.p_filesz(endian) > 0 {
             let data = header.data(endian, image).ok().context("the image is cut short")?;
-            segments.push(Block { address: header.p_paddr(endian), data: data.to_vec() });
+            let address = header.p_paddr(endian);
+            segments.push(Block { content: Content::Program, address, data: data.to_vec() });
         }
     }
     segments.sort_by_key(|segment| segment.address);
@@ -208,7 +210,7 @@ mod tests {
     use super::*;
 
     fn block(address: u32, bytes: usize) -> Block {
-        Block { address, data: (0..bytes).map(|byte| byte as u8).collect() }
+        Block { content: Content::Program, address, data: (0..bytes).map(|byte| byte as u8).collect() }
     }
 
     #[test]

@@ -66,6 +66,16 @@ fn a_device_with_a_key_stores_only_newer_images() {
 }
 
 #[test]
+fn a_programmer_writes_what_the_first_store_leaves() {
+    let mut slots = Slots::new(Nor::<4>::new(), STARTS);
+    slots.store(&image(2.0)).unwrap();
+    for (start, content) in STARTS.into_iter().zip(after_first_store(&image(2.0))) {
+        let stored = &slots.flash.cells[start as usize..][..SLOT_BYTES as usize];
+        assert_eq!(stored, content.as_slice());
+    }
+}
+
+#[test]
 fn an_image_whose_store_was_cut_off_is_stored_again() {
     let mut flash = Nor::<4>::new();
     assert_eq!(trusted(&mut flash, &signed(1, 5, 1)), Ok(Slot::A));
