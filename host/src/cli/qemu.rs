@@ -26,8 +26,9 @@ Examples:
   trainer qemu --listen 5555 --bench R50C10 --folder board   (keeps the weights in flash)
   trainer monitor --port tcp:localhost:5555                (in another terminal)
 
-`cargo xtask firmware` builds the images, `cargo xtask setup` installs QEMU. Time runs as on a real
-board; with --fast it runs as fast as the host allows. Ctrl-C switches the board off.")]
+`cargo xtask firmware` builds the images, and a release has them in eupnea-VERSION-qemu.zip;
+`cargo xtask setup` installs QEMU. Time runs as on a real board; with --fast it runs as fast as the
+host allows. Ctrl-C switches the board off.")]
 pub struct Args {
     /// Address at which the device's link listens; port 0 picks a free one
     #[arg(long, value_name = "[IP:]PORT", value_parser = listen, default_value = "0")]

@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
+use firmware_file::dfuse::{Element, decode};
+use firmware_file::signer;
 use xshell::{PushEnv, Shell, cmd};
 
 use super::programs::{self, Processor, Target};
 use super::wheels::{JOB, try_programs};
-use super::{Part, SIGNATURE, SUMS, VERSION};
-use crate::firmware::{BOARDS, cargo_folder};
+use super::{Part, SIGNATURE, SUMS, VERSION, emulated};
+use crate::firmware::{BOARDS, MAIN_BOARD, cargo_folder};
 use crate::package::install;
 
 /// The C library of arm64, for programs that are linked to it.
@@ -52,7 +54,8 @@ pub fn run(shell: &Shell, folder: &Path, chosen: &dyn Fn(Part) -> bool) -> Resul
         machines.push(windows(shell, folder, &place)?);
     }
     if chosen(Part::Firmware) {
-        boards(shell, folder)?;
+        let trainer = machines.first().map(|machine| machine.folder.join("trainer"));
+        boards(shell, folder, &place, trainer.as_deref())?;
     }
     same_results(shell, &place, &machines)?;
     if chosen(Part::Wheels) {
@@ -83,7 +86,7 @@ fn checksums(shell: &Shell, folder: &Path) -> Result<()> {
     let sums = shell.read_file(SUMS).context("no release to check: build one with `cargo xtask release`")?;
     cmd!(shell, "sha256sum --check --quiet --strict {SUMS}").quiet().run()?;
     let signature = shell.read_file(SIGNATURE)?;
-    let signer = firmware_file::signer(sums.as_bytes(), signature.as_bytes());
+    let signer = signer(sums.as_bytes(), signature.as_bytes());
     let signer = signer.with_context(|| format!("{SIGNATURE} is no signature of {SUMS}"))?;
     println!("checksums: signed by {signer}");
     Ok(())
@@ -179,16 +182,24 @@ fn windows(shell: &Shell, folder: &Path, place: &Path) -> Result<Machine> {
     Ok(machine)
 }
 
-/// Every board's file is whole and signed with the key of the checksums.
-fn boards(shell: &Shell, folder: &Path) -> Result<()> {
+/// Every board's file is whole, signed with the key of the checksums, and says the same in all its forms. The main board's starts.
+fn boards(shell: &Shell, folder: &Path, place: &Path, trainer: Option<&Path>) -> Result<()> {
     let (sums, signature) = (shell.read_file(folder.join(SUMS))?, shell.read_file(folder.join(SIGNATURE))?);
-    let key =
-        firmware_file::signer(sums.as_bytes(), signature.as_bytes()).context("the checksums are unsigned")?;
+    let key = signer(sums.as_bytes(), signature.as_bytes()).context("the checksums are unsigned")?;
     for board in &BOARDS {
         let path = folder.join(format!("eupnea-{VERSION}-{}.zip", board.name));
         let package = firmware_file::read(&shell.read_binary_file(&path)?, &key)
             .with_context(|| path.display().to_string())?;
         ensure!(package.manifest.firmware.board == board.name, "{} is of another board", path.display());
+        let parts: Vec<_> = package
+            .parts()
+            .map(|(part, data)| Element { address: part.address, data: data.to_vec() })
+            .collect();
+        let dfu = decode(&package.files[&format!("{}.dfu", board.name)])?;
+        ensure!(dfu == parts, "the DFU file of {} has other parts", board.name);
+        if let (Some(trainer), true) = (trainer, board.map == MAIN_BOARD) {
+            emulated::check(shell, folder, place, &package, trainer)?;
+        }
     }
     Ok(())
 }

@@ -10,12 +10,13 @@
 //! | `lists` | parts of chip and host as `CycloneDX`, the demonstration, and checksums of all files | this one |
 //!
 //! All files are reproducible: the programs name neither a folder of the machine nor a time but that of the revision.
-//! [`check`] tries what was built.
+//! [`check`] tries what was built, and [`emulated`] the firmware.
 
 mod archives;
 mod boards;
 mod check;
 mod debian;
+mod emulated;
 mod programs;
 mod wheels;
 
