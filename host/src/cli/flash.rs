@@ -27,8 +27,8 @@ Examples:
   trainer flash weights.bin --port /dev/ttyACM0
   trainer flash weights.bin --port tcp:localhost:5555 --no-reset
   trainer flash weights.bin --port /dev/ttyACM0 --key weights.key
-  trainer flash --firmware eupnea-0.1.0-stm32f405.zip --board stm32f405
-  trainer flash --firmware eupnea-0.1.0-stm32f405.zip --board stm32f405 --dfu
+  trainer flash --firmware eupnea-0.1.0-stm32f405.zip --for stm32f405
+  trainer flash --firmware eupnea-0.1.0-stm32f405.zip --for stm32f405 --dfu
   trainer flash target/firmware/board.elf
 
 Weights go into the slot that is not running, are read back, and run after a restart. Until then,
@@ -53,7 +53,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE", requires = "board", conflicts_with_all = ["image", "port"])]
     firmware: Option<PathBuf>,
     /// The board to load firmware into: stm32f405, which is the default for an .elf, stm32f446, or one on the desk, such as stm32f446-desk
-    #[arg(long, value_name = "NAME", conflicts_with = "port")]
+    #[arg(long = "for", value_name = "NAME", conflicts_with = "port")]
     board: Option<String>,
     /// Public key that must have signed the release, 64 hexadecimal digits [default: the key built into this program, if any]
     #[arg(long, value_name = "KEY", requires = "firmware")]
@@ -109,7 +109,7 @@ impl Command for Args {
             }
             (_, _, Some(_)) => bail!("firmware is loaded through the debug probe: leave out --port"),
             (_, Some(image), None) if image.extension().is_some_and(|ending| ending == "zip") => {
-                bail!("the file of a release is for --firmware, with the name of your board at --board")
+                bail!("the file of a release is for --firmware, with the name of your board at --for")
             }
             _ => {
                 bail!("name the device of the weights with --port; firmware is a file that ends with .elf")

@@ -51,7 +51,7 @@ fn with_probe(place: &Place, program: &str, line: &str) -> (bool, String) {
 fn a_verified_release_is_loaded_part_by_part_through_the_probe() {
     let place = Place::new();
     let key = release(&place, true);
-    let line = format!("flash --firmware release.zip --board stm32f446 --trust {key}");
+    let line = format!("flash --firmware release.zip --for stm32f446 --trust {key}");
     let note =
         "#!/bin/sh\nfor last; do :; done\necho \"$@\" >> calls\necho $(($(/bin/wc -c < $last))) >> sizes\n";
     let (ok, told) = with_probe(&place, note, &line);
@@ -76,10 +76,10 @@ fn a_verified_release_is_loaded_part_by_part_through_the_probe() {
 fn the_firmware_of_another_board_is_refused() {
     let place = Place::new();
     let key = release(&place, false);
-    let refused = place.refused(&format!("flash --firmware release.zip --board stm32f405 --trust {key}"));
+    let refused = place.refused(&format!("flash --firmware release.zip --for stm32f405 --trust {key}"));
     assert!(refused.contains("for the board stm32f446 (The second board), not for stm32f405"), "{refused}");
     fs::write(place.path("own.elf"), "").unwrap();
-    let refused = place.refused("flash own.elf --board esp32");
+    let refused = place.refused("flash own.elf --for esp32");
     assert!(refused.contains("no board is named esp32"), "{refused}");
 }
 
@@ -87,7 +87,7 @@ fn the_firmware_of_another_board_is_refused() {
 fn a_damaged_unsigned_or_otherwise_signed_file_is_refused_with_what_to_do() {
     let place = Place::new();
     let key = release(&place, true);
-    let line = |file: &str, key| format!("flash --firmware {file} --board stm32f446 --trust {key}");
+    let line = |file: &str, key| format!("flash --firmware {file} --for stm32f446 --trust {key}");
     let other = ReleaseKey::of(&KeyPair::from_seed(Seed::new([43; 32])));
     let refused = place.refused(&line("release.zip", other));
     assert!(refused.contains(&format!("signed by the key {key}")), "{refused}");
@@ -106,16 +106,16 @@ fn a_program_without_a_built_in_key_says_how_to_name_one() {
     }
     let place = Place::new();
     release(&place, true);
-    let refused = place.refused("flash --firmware release.zip --board stm32f446");
+    let refused = place.refused("flash --firmware release.zip --for stm32f446");
     assert!(refused.contains("without a release key") && refused.contains("--trust"), "{refused}");
 }
 
 #[test]
 fn arguments_that_do_not_fit_a_release_are_refused() {
     let place = Place::new();
-    assert!(place.wrong("flash --firmware release.zip").contains("--board"));
-    assert!(place.wrong("flash --firmware a.zip --board b --trust 12").contains("64 hexadecimal digits"));
-    place.wrong("flash --firmware a.zip --board b --port c");
+    assert!(place.wrong("flash --firmware release.zip").contains("--for"));
+    assert!(place.wrong("flash --firmware a.zip --for b --trust 12").contains("64 hexadecimal digits"));
+    place.wrong("flash --firmware a.zip --for b --port c");
     place.wrong("flash weights.bin --dfu");
     assert!(place.refused("flash eupnea.zip").contains("--firmware"));
 }
@@ -124,7 +124,6 @@ fn arguments_that_do_not_fit_a_release_are_refused() {
 fn a_board_without_usb_is_told_before_a_device_is_looked_for() {
     let place = Place::new();
     let key = release(&place, false);
-    let refused =
-        place.refused(&format!("flash --firmware release.zip --board stm32f446 --trust {key} --dfu"));
+    let refused = place.refused(&format!("flash --firmware release.zip --for stm32f446 --trust {key} --dfu"));
     assert!(refused.contains("has no USB"), "{refused}");
 }
