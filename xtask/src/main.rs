@@ -11,6 +11,7 @@ mod mutants;
 mod npm;
 mod package;
 mod papers;
+mod pip;
 mod python;
 mod qemu_test;
 mod release;

@@ -14,7 +14,7 @@ use super::programs::{self, Processor, Target};
 use super::wheels::{JOB, try_programs};
 use super::{Part, SIGNATURE, SUMS, VERSION, emulated};
 use crate::firmware::{BOARDS, MAIN_BOARD, cargo_folder};
-use crate::package::install;
+use crate::pip::install;
 
 /// The C library of arm64, for programs that are linked to it.
 const ARM_LIBRARIES: &str = "/usr/aarch64-linux-gnu";

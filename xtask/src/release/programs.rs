@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use xshell::{PushEnv, Shell, cmd};
 
-use super::wheels::only_file;
 use crate::firmware::cargo_folder;
-use crate::package::environment;
+use crate::pip::environment;
 use crate::web_demo::remapped;
 
 /// Profile of a release's programs.
@@ -124,4 +123,10 @@ pub fn tools(shell: &Shell) -> Result<PushEnv<'_>> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let paths = std::env::join_paths(std::iter::once(programs).chain(std::env::split_paths(&path)))?;
     Ok(shell.push_env("PATH", paths))
+}
+
+/// The file of a folder that contains only one.
+pub fn only_file(shell: &Shell, folder: &Path) -> Result<PathBuf> {
+    let files = shell.read_dir(folder)?;
+    files.into_iter().next().with_context(|| format!("no file in {}", folder.display()))
 }

@@ -8,10 +8,9 @@ use std::process::{ChildStdout, Command, Stdio};
 use anyhow::{Context, Result, ensure};
 use xshell::{Shell, cmd};
 
-use super::programs::{self, Processor, Target};
+use super::programs::{self, Processor, Target, only_file};
 use super::{Release, VERSION};
 use crate::firmware::cargo_folder;
-use crate::package::PACKAGE;
 use crate::trainer::Trainer;
 
 /// Builds a wheel for each processor.
@@ -35,7 +34,7 @@ pub fn for_tests(shell: &Shell, python: &Path) -> Result<PathBuf> {
     shell.remove_path(&staging)?;
     cmd!(shell, "{python} -m pip install --quiet maturin wheel").quiet().run()?;
     let built = staging.join("native");
-    cmd!(shell, "{python} -m maturin build --profile dev --manifest-path {PACKAGE}/Cargo.toml --out {built}")
+    cmd!(shell, "{python} -m maturin build --profile dev --manifest-path python/Cargo.toml --out {built}")
         .quiet()
         .run()?;
     let folder = shell.create_dir(staging.join("programs"))?;
@@ -74,12 +73,6 @@ fn with_programs(
     shell.create_dir(out)?;
     cmd!(shell, "{python} -m wheel pack --dest-dir {out} {content}").quiet().ignore_stdout().run()?;
     Ok(out.join(wheel.file_name().context("a wheel has a name")?))
-}
-
-/// The file of a folder that contains only one.
-pub fn only_file(shell: &Shell, folder: &Path) -> Result<PathBuf> {
-    let files = shell.read_dir(folder)?;
-    files.into_iter().next().with_context(|| format!("no file in {}", folder.display()))
 }
 
 /// A whole job in seconds: recording, simulator, controller, weights image, breaths.
