@@ -47,7 +47,7 @@ fn package(release: &Release<'_>, processor: Processor, native: &[PathBuf]) -> R
         cmd!(shell, "ln -s ../lib/eupnea/{name} {bin}/{name}").quiet().run()?;
         describe(shell, &root, name, about, program)?;
     }
-    let control = control(processor, &root)?;
+    let control = control(shell, processor, &root)?;
     shell.write_file(folder("DEBIAN")?.join("control"), control)?;
     cmd!(shell, "chmod -R u=rwX,go=rX {root}").quiet().run()?;
     cmd!(shell, "chmod 644 {library}/libeupnea_fmu.so").quiet().run()?;
@@ -93,8 +93,7 @@ fn field(name: &str) -> Result<&'static str> {
 }
 
 /// The description with version, processor and size.
-fn control(processor: Processor, root: &Path) -> Result<String> {
-    let shell = Shell::new()?;
+fn control(shell: &Shell, processor: Processor, root: &Path) -> Result<String> {
     let size = cmd!(shell, "du --summarize --apparent-size --block-size=1K {root}").quiet().read()?;
     let kilobytes = size.split_whitespace().next().unwrap_or_default();
     Ok(format!(
