@@ -9,7 +9,7 @@
 //! | `firmware` | images of all boards with weights, signed, and those for QEMU | [`boards`] |
 //! | `lists` | parts of chip and host as `CycloneDX`, the demonstration, and checksums of all files | this one |
 //!
-//! All files are reproducible: the programs name neither a folder of the machine nor a time but that of the revision.
+//! The files name neither a folder of the machine nor a time but that of the revision, so that two builds can be compared.
 //! [`check`] tries what was built, and [`emulated`] the firmware.
 
 mod archives;
