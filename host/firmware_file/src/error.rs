@@ -23,7 +23,7 @@ pub enum PackageError {
     Unsigned,
     /// Another key signed it.
     #[error(
-        "it is signed by the key {by}, and {trusted} is trusted: take the file from whoever owns that key, or trust the other key if you know its owner"
+        "it is signed by the key {by}, but {trusted} is trusted: take the file from the owner of that key, or trust the other key if you know its owner"
     )]
     OtherKey {
         /// Who signed it.
@@ -35,7 +35,7 @@ pub enum PackageError {
     #[error("{MANIFEST} was changed after it was signed: download the release file again")]
     ManifestDamaged,
     /// The signed manifest is none.
-    #[error("{MANIFEST} cannot be understood ({0}): report this to whoever made the release")]
+    #[error("{MANIFEST} cannot be understood ({0}): report this to the maker of the release")]
     ManifestFormat(String),
     /// A later format.
     #[error("it has format {0}, and this program knows formats up to {FORMAT}: update this program")]
@@ -54,7 +54,7 @@ pub enum PackageError {
     TooLarge(String),
     /// A part that cannot be in flash as stated.
     #[error(
-        "{0} is empty, overlaps another part in flash or has another length than stated: report this to whoever made the release"
+        "{0} is empty, overlaps another part in flash or has another length than stated: report this to the maker of the release"
     )]
     Part(String),
 }

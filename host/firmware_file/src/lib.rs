@@ -6,7 +6,7 @@
 //! | `manifest.sig` | two lines in hexadecimal: public key, and its ed25519 signature over the bytes of `manifest.json` |
 //! | any other | the files: program (`.elf`, `.hex`, `.bin`, `.dfu`), weights |
 //!
-//! The signature covers the manifest and the manifest every file, so whoever trusts the key trusts the whole archive. [`write()`]
+//! The signature covers the manifest and the manifest every file, so trust in the key covers the whole archive. [`write()`]
 //! gives the same bytes for the same input, and [`read()`] refuses whatever is damaged, unsigned or signed by another key.
 #![forbid(unsafe_code)]
 

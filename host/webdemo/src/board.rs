@@ -1,7 +1,7 @@
 //! A real device at the page's computer: the page carries bytes between its port and here.
 //!
 //! The rules are those of a session of the server: read first and push nothing; a request without an answer is repeated with the same
-//! sequence number; a request that changes the device acquires the lease; a stop overtakes what waits and cancels a start; whoever
+//! sequence number; a request that changes the device acquires the lease; a stop overtakes what waits and cancels a start; a host that
 //! steered must take control again after the line was lost.
 
 use std::collections::VecDeque;

@@ -8,7 +8,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum FlashError {
     /// There is no key.
-    #[error("name the key of whoever made the release: 64 hexadecimal digits, published with it")]
+    #[error("name the public key of the release: 64 hexadecimal digits, published with it")]
     NoKey,
     /// No UTF-8, no release file, or no release file before a step that needs one.
     #[error("choose the file of a release first")]

@@ -37,7 +37,7 @@ fn key(trust: Option<ReleaseKey>) -> anyhow::Result<ReleaseKey> {
     match trust {
         Some(key) => Ok(key),
         None => ReleaseKey::built_in().context("EUPNEA_RELEASE_KEY, with which this program was built")?.context(
-            "this program was built without a release key: name the key of whoever made the file with --trust, 64 hexadecimal digits",
+            "this program was built without a release key: name the public key of the release with --trust, 64 hexadecimal digits",
         ),
     }
 }
