@@ -89,8 +89,8 @@ scene("a file that is damaged, unsigned or signed by another key is refused with
     [zip({ ...good, "weights.bin": Buffer.alloc(3000, 6) }), KEY, /^Refused: weights.bin is damaged: download the release file again/],
     [zip(unsigned), KEY, /^Refused: it is not signed: take the file of a release/],
     [GOOD.subarray(0, GOOD.length / 2), KEY, /^Refused: it is no ZIP archive, or not all of it/],
-    [GOOD, KEY.replace(/^../, (byte) => (byte === "00" ? "01" : "00")), /^Refused: it is signed by the key [0-9a-f]{64}, and [0-9a-f]{64} is trusted/],
-    [GOOD, "", /^Refused: name the key of whoever made the release/],
+    [GOOD, KEY.replace(/^../, (byte) => (byte === "00" ? "01" : "00")), /^Refused: it is signed by the key [0-9a-f]{64}, but [0-9a-f]{64} is trusted/],
+    [GOOD, "", /^Refused: name the public key of the release/],
     [zip(release(PROGRAM, WEIGHTS, { usb_dfu: false })), KEY, /^Refused: the board stm32f405 has no USB/],
   ]) {
     const page = await choose({ layout: F405 }, file, key);
